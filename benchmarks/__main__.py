@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks import frontier, gate, plots, suite, tables
+from benchmarks import gate, suite, tables
 from testbed import report
 
 
@@ -15,7 +15,7 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     """Returns the parsed arguments."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="handsight against its peers")
     add = parser.add_argument
-    quick = "two minutes instead of fifteen; peers' settings from frontier.json"
+    quick = "two minutes instead of fifteen"
     only = f"one of {', '.join(suite.NAMES)}; repeatable"
     update = "write this run's ratios to baseline.json (with --quick: the gate's own sizes)"
     add("--quick", action="store_true", help=quick)
@@ -31,7 +31,7 @@ def sections(options: argparse.Namespace) -> list[str]:
     names = [name for name in suite.NAMES if name in (options.only or suite.NAMES)]
     if options.gate and not options.only:
         names = [name for name in names if name in gate.GATED.values()]
-    return [name for name in names if name != "frontier" or not options.quick]
+    return names
 
 
 def say(text: str) -> None:
@@ -58,16 +58,11 @@ def passes(run: suite.Suite, baseline: dict[str, Any]) -> bool:
 
 
 def write(run: suite.Suite, folder: Path) -> None:
-    """Writes the results as JSON and figures."""
+    """Writes the results as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = run.results["sections"]
     path = folder / "benchmarks.json"
     path.write_text(json.dumps(run.results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     report.wrote(path)
-    if "correction" in found:
-        plots.time_and_success(found["correction"], run.chosen, folder)
-    if "growth" in found:
-        plots.growth(found["growth"], folder)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -87,10 +82,6 @@ def main(arguments: list[str] | None = None) -> int:
     tables.everything(run.results)
     passed = passes(run, baseline) if options.gate and baseline else True
     write(run, options.output)
-    if "frontier" in run.results["seconds"]:
-        text = json.dumps(run.chosen, indent=1, ensure_ascii=False)
-        frontier.FILE.write_text(text + "\n", encoding="utf-8")
-        report.wrote(frontier.FILE)
     if options.update_baseline:
         text = json.dumps(gate.baseline_of(run.results), indent=1, ensure_ascii=False)
         gate.FILE.write_text(text + "\n", encoding="utf-8")

@@ -124,7 +124,7 @@ def ratios(
     """Returns the ratios of time ours / peer and kernel / peer, below 1 where ours is faster."""
     found: dict[str, Any] = {}
     for ours in ("ours", "ours_kernel"):
-        for peer in ("paper", "paper_pruned", "scipy", "open3d", "small_gicp"):
+        for peer in ("paper", "open3d", "small_gicp"):
             each = [of(times[ours], times[peer]) for times in near.values() if {ours, peer} <= times.keys()]
             if each:
                 mean = {

@@ -22,10 +22,8 @@ GATED = {
     "ours / paper, hot": "correction",
     "ours / small_gicp, hot": "correction",
     "ours_kernel / paper, hot": "correction",
-    "batch per hypothesis / single": "batch",
+    "descent of many / single": "batch",
     "field / scipy cKDTree of samples, 2 cores": "closest",
-    "field / Open3D closest points": "closest",
-    "sensing / iterative": "sensing",
 }
 """The ratios that count, and the section that measures each."""
 PEERS = {"ours", "ours_kernel", "paper", "small_gicp"}

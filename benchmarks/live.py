@@ -25,8 +25,8 @@ from handsight.messages.topics import rig_topics
 from handsight.objects import ObjectSpec
 from handsight.observation import Observation
 from handsight.recording import RecordingWriter
+from handsight.recording.bags import Rosbag1Source
 from handsight.recording.mcap import McapSource
-from handsight.recording.rosbag1 import Rosbag1Source
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, simulate
@@ -71,9 +71,9 @@ def recording(folder: Path, seconds: float, *, sights: bool) -> tuple[Path, Path
 def as_bag(path: Path, rig: Rig) -> Path:
     """Returns the path of the same recording as a bag of ROS 1."""
     cdr, bag = typestore("cdr"), path.with_suffix(".bag")
-    with rosbag1.Writer(bag) as writer:
+    with closing(McapSource(path)) as source, rosbag1.Writer(bag) as writer:
         connections = {}
-        for each in McapSource(path).messages(rig_topics(rig)):
+        for each in source.messages(rig_topics(rig)):
             if each.topic not in connections:
                 connections[each.topic] = writer.add_connection(
                     each.topic, each.type, typestore=typestore("ros1")

@@ -18,26 +18,7 @@ def bumpy(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     return SIZE * length[:, None] * u, np.asarray(ball.faces)
 
 
-def can(triangles: int, radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Returns a closed cylinder about the origin and z, of about so many triangles, none of them a sliver."""
-    around = max(16, int(np.sqrt(triangles * np.pi * radius / (height + radius))))
-    side = max(2, int(around * height / (2 * np.pi * radius)))
-    rings = max(2, int(around / (2 * np.pi)))
-    profile = [(radius * k / rings, -height / 2) for k in range(1, rings)]
-    profile += [(radius, -height / 2 + height * k / side) for k in range(side + 1)]
-    profile += [(radius * k / rings, height / 2) for k in range(rings - 1, 0, -1)]
-    rows, angle = np.array(profile), 2 * np.pi * np.arange(around) / around
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    body = np.concatenate([np.column_stack([r * circle, np.full(around, z)]) for r, z in rows])
-    vertices = np.concatenate([body, [[0, 0, -height / 2], [0, 0, height / 2]]])
-    here, there = np.arange(around), np.roll(np.arange(around), -1)
-    faces = [np.column_stack([there, here, np.full(around, len(body))])]
-    for k in range(len(rows) - 1):
-        a, b = k * around, (k + 1) * around
-        faces += [
-            np.column_stack([here + a, there + a, there + b]),
-            np.column_stack([here + a, there + b, here + b]),
-        ]
-    last = (len(rows) - 1) * around
-    faces.append(np.column_stack([here + last, there + last, np.full(around, len(body) + 1)]))
-    return vertices, np.concatenate(faces)
+def can(radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a closed cylinder about the origin and z, of triangles whose edges are below 4 mm."""
+    mesh = trimesh.creation.cylinder(radius, height, sections=128).subdivide_to_size(0.004)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)

@@ -1,7 +1,7 @@
 """First poses from one depth image and tracking in many, beside their peers: `python -m benchmarks.sight`.
 
-`--trials` pictures a bin of occlusion as in `experiments/sight_first_pose.py`, and half as many sequences as in
-`experiments/sight_tracking.py`: YCB objects, drawn with a structured light's noise. Every peer gets the same region
+`--trials` pictures a bin of occlusion and half as many sequences: YCB objects,
+drawn with a structured light's noise. Every peer gets the same region
 without table and hand, as far as ours finds them. In turn in one process; times are of its CPU, all threads. An answer
 is right when its ADD-S is below 10 % of the diameter. The gate has no part in this: it needs data.
 """
@@ -19,8 +19,8 @@ from benchmarks import peers, timing
 from benchmarks.targets import Target
 from handsight.vision.object.region import Scene, scene_of, table_plane
 from testbed import report, sequences, sight, ycb
+from testbed import sequences as drawn
 from testbed import sight_scenes as scenes
-from testbed import sight_sequences as drawn
 from testbed.report import Rows
 
 RIGHT = 0.1
@@ -87,19 +87,15 @@ def binned(hidden: float) -> str:
 
 def show(title: str, rows: Rows, names: Iterable[str]) -> None:
     """Prints a line for each bin and peer; the ratio is of median times, the peer's over ours."""
-    cells = []
-    for name in sorted(report.distinct(rows, "hidden")):
-        for peer in names:
-            mine = report.chosen(rows, hidden=name, peer=peer)
-            seconds = report.values(mine, "seconds")
-            ms = [f"{1e3 * np.median(seconds):.3g}", f"{1e3 * np.quantile(seconds, 0.99):.3g}"]
-            cell = [name, peer, len(mine), f"{report.values(mine, 'right').mean():.2f}", *ms]
-            if "mm" in mine[0]:
-                cell += [f"{np.median(report.values(mine, key)):.2f}" for key in ("mm", "deg")]
-            cells.append([*cell, spread(rows, peer, name) if peer != OURS else ""])
-    errors = ["mm", "deg"] if "mm" in rows[0] else []
-    columns = ["hidden", "peer", "images", "right", "CPU ms", "p99", *errors, "its time / ours, 95 %"]
-    report.print_table(title, columns, cells, report.machine())
+    names = list(names)
+    shown = sorted(rows, key=lambda row: (row["hidden"], names.index(row["peer"])))
+    cells: dict[str, report.Cell] = {"images": report.count, "right": report.of("right")}
+    cells["CPU ms"] = report.of("seconds", ".3g", np.median, 1e3)
+    cells["p99"] = report.of("seconds", ".3g", report.quantile(0.99), 1e3)
+    if "mm" in rows[0]:
+        cells |= {name: report.of(name, ".2f", np.median) for name in ("mm", "deg")}
+    cells["its time / ours, 95 %"] = lambda mine: spread(rows, mine[0]["peer"], mine[0]["hidden"])
+    report.print_by(title, shown, "hidden, peer", cells, report.machine())
 
 
 def ratio(rows: Rows, peer: str, **key: object) -> dict[str, float]:
@@ -116,7 +112,9 @@ def here(rows: Rows, peer: str) -> None:
 
 
 def spread(rows: Rows, peer: str, name: str) -> str:
-    """Returns the text of the ratio in one bin."""
+    """Returns the text of the ratio in one bin; empty for ours."""
+    if peer == OURS:
+        return ""
     found = ratio(rows, peer, hidden=name)
     return f"{found['ratio']:.1f} ({found['low']:.1f}-{found['high']:.1f})"
 

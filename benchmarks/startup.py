@@ -1,20 +1,18 @@
 """New processes: CPU time to import, to --help, to the first correction (warm and with nothing compiled) and to a
-command's answer; memory.
+command's answer.
 
 Warm: kernels and fields are in their cache. First compile: with an empty cache folder, as after installing.
 """
 
-import json
 import os
 import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks import ROOT, frontier, timing, workload
+from benchmarks import ROOT, timing
 from handsight.objects import ObjectModel, Shape, ply_bytes
 
 Row = dict[str, Any]
@@ -45,7 +43,6 @@ replay, module.replay = module.replay, first
 sys.argv = ["handsight", "track", {recording!r}, "--output-folder", {folder!r}]
 main()
 """
-SOLVES = 20
 BYTECODE = Path(tempfile.gettempdir(), f"handsight-bytecode-{os.getuid()}")
 
 
@@ -100,54 +97,3 @@ def started(name: str, code: str, repeats: int) -> Row:
         return {"name": name} | timing.summary([process_seconds(code) for _ in range(repeats)])
     except subprocess.CalledProcessError as error:
         return {"name": name, "failed": error.stderr.decode().strip().splitlines()[-1:]}
-
-
-def memory(keys: list[str]) -> list[Row]:
-    """Returns the peak resident memory of a process that solves with one peer only [MB]; first, with none."""
-    rows = []
-    for key in ["none", *keys]:
-        done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.startup", key],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        if done.returncode:
-            rows.append({"peer": key, "failed": done.stderr.strip().splitlines()[-1:]})
-            continue
-        rows.append({"peer": key, **json.loads(done.stdout.strip().splitlines()[-1])})
-    base = rows[0].get("peak_mb", 0.0)
-    return [row | {"beyond_none_mb": row["peak_mb"] - base} if "peak_mb" in row else row for row in rows]
-
-
-def solve_a_few(key: str) -> Row:
-    """Prints the peak memory of this process after some solves on the box; `none`: after drawing the problems."""
-    problems = [workload.draw("box", workload.NEAR, k) for k in range(SOLVES)]
-    begin = time.perf_counter()
-    if key != "none":
-        from benchmarks import peers
-
-        found, _ = peers.made([key])
-        peer, _ = frontier.tuned(key, found[key], "box", workload.NEAR, frontier.stored())
-        with timing.silent_stderr():
-            peer.prepare(problems[0].model)
-            for problem in problems:
-                workload.pose_of(peer.ready(problem)())
-    return {"peak_mb": round(peak_mb(), 1), "seconds": time.perf_counter() - begin}
-
-
-def peak_mb() -> float:
-    """Returns the largest resident memory of this process so far [MB]."""
-    try:  # getrusage would count what the parent had when it forked
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
-    except OSError:
-        import resource
-
-        size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return size / (1024**2 if sys.platform == "darwin" else 1024)
-
-
-if __name__ == "__main__":
-    print(json.dumps(solve_a_few(sys.argv[1])))

@@ -5,38 +5,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from benchmarks import (
-    blind,
-    closest,
-    correction,
-    frontier,
-    growth,
-    kernels,
-    machine,
-    peers,
-    sensing,
-    startup,
-    workload,
-)
+from benchmarks import batch, blind, closest, correction, frontier, kernels, machine, peers, startup, workload
 
 Row = dict[str, Any]
-QUICK = {"correction": 30.0, "batch": 3.0, "blind": 6.0, "closest": 6.0, "sensing": 3.0, "growth": 20.0}
-FULL = {
-    "frontier": 200.0,
-    "correction": 160.0,
-    "batch": 10.0,
-    "blind": 80.0,
-    "closest": 30.0,
-    "sensing": 15.0,
-    "growth": 180.0,
-}
-"""Seconds; startup and memory take what their processes take."""
-NAMES = (*FULL, "startup", "memory")
+QUICK = {"correction": 30.0, "batch": 3.0, "blind": 6.0, "closest": 6.0}
+FULL = {"correction": 160.0, "batch": 10.0, "blind": 80.0, "closest": 30.0}
+"""Seconds; startup takes what its processes take."""
+NAMES = (*FULL, "startup")
 
 
 @dataclass
 class Suite:
-    """A `Suite` is one run: its peers and settings, and its results."""
+    """One run: its peers and settings, and its results."""
 
     quick: bool
     say: Callable[[str], None]
@@ -71,12 +51,6 @@ class Suite:
         self.results["sections"][name] = measured[0]
         self.results["ratios"] |= measured[1]
 
-    def _frontier(self) -> None:
-        errors = [workload.NEAR, workload.FAR]
-        self.chosen = frontier.search(self.peers, errors, self.seconds["frontier"], self.say)
-        self.chosen["machine"] = self.results["machine"]["description"]
-        self.results["frontier"] = self.chosen
-
     def _correction(self) -> None:
         errors, problems = [workload.NEAR, workload.FAR], 120 if self.quick else 500
         self._kept(
@@ -85,27 +59,13 @@ class Suite:
         )
 
     def _batch(self) -> None:
-        self._kept("batch", growth.batch(self.seconds["batch"]))
+        self._kept("batch", batch.run(self.seconds["batch"]))
 
     def _blind(self) -> None:
         self.results["sections"]["blind"] = blind.run(6 if self.quick else 60, self.seconds["blind"])
 
     def _closest(self) -> None:
-        rows, ratios, missing = closest.run(10_000 if self.quick else 100_000, self.seconds["closest"])
-        self._kept("closest", (rows, ratios))
-        self.results["skipped"] |= missing
-        for name, why in missing.items():
-            self.say(f"skipped {name}: {why}")
-
-    def _sensing(self) -> None:
-        self._kept("sensing", sensing.run(100_000 if self.quick else 1_000_000, self.seconds["sensing"]))
-
-    def _growth(self) -> None:
-        found = growth.run(self.peers, self.chosen, self.seconds["growth"], self.say)
-        self.results["sections"]["growth"] = found
+        self._kept("closest", closest.run(10_000 if self.quick else 100_000, self.seconds["closest"]))
 
     def _startup(self) -> None:
         self.results["sections"]["startup"] = startup.run(2 if self.quick else 9, compile_too=not self.quick)
-
-    def _memory(self) -> None:
-        self.results["sections"]["memory"] = startup.memory(list(self.peers))

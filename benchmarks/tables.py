@@ -19,43 +19,30 @@ def duration(seconds: float | None) -> str:
     return f"{seconds * 1e9:.3g} ns"
 
 
-def number(value: float | None, form: str = ".3g") -> str:
-    """A dash where there is none."""
-    return "-" if value is None else f"{value:{form}}"
-
-
-def yes(value: bool | None) -> str:
-    """In a word."""
-    return "yes" if value else "no"
-
-
 def correction(rows: list[Row]) -> None:
     """A table for each object and error of vision."""
-    for case in dict.fromkeys((row["object"], row["error"]) for row in rows):
-        mine = [row for row in rows if (row["object"], row["error"]) == case]
-        cells = [
-            [row["name"], yes(row["uses_normals"]), yes(row["uses_prior"]), duration(row["median_s"]),
-             duration(row["p99_s"]), duration(row.get("hot_median_s")), number(row["success"], ".3f"),
-             number(row.get("median_mm"), ".2f"), number(row.get("median_deg"), ".1f"), row["repeats"]]
-            for row in sorted(mine, key=lambda row: row["median_s"])
-        ]  # fmt: skip
-        report.print_table(
-            f"Correction: {case[0]}, five contacts, vision off by {case[1]}",
-            ["peer", "normals", "prior", "median", "p99", "hot", "success", "mm", "deg", "problems"],
-            cells,
-            "normals, prior: whether it can use them. mm, deg: medians of the successes.",
-        )
+    shown = [
+        row
+        | {"normals": "yes" if row["uses_normals"] else "no", "prior": "yes" if row["uses_prior"] else "no"}
+        for row in sorted(rows, key=lambda row: row["median_s"])
+    ]
+    columns = {"name": "peer", "normals": "normals", "prior": "prior", "median_s": "median", "p99_s": "p99"}
+    columns |= {"hot_median_s": "hot", "success": "success", "median_mm": "mm", "median_deg": "deg"}
+    for object_name, error in dict.fromkeys((row["object"], row["error"]) for row in rows):
+        mine = report.chosen(shown, object=object_name, error=error)
+        title = f"Correction: {object_name}, five contacts, vision off by {error}"
+        note = "normals, prior: whether it can use them. mm, deg: medians of the successes."
+        plain(title, mine, columns | {"repeats": "problems"}, note)
 
 
 def plain(title: str, rows: Iterable[Row], columns: dict[str, str], note: str = "") -> None:
     """Rows with some of their keys: `columns` maps key to heading; seconds get units."""
     cells = []
     for row in rows:
-        if "skipped" in row or "failed" in row:
-            first = str(row[next(iter(columns))])
-            cells.append([first, str(row.get("skipped") or row.get("failed")), *[""] * (len(columns) - 2)])
-            continue
-        cells.append([_cell(key, row.get(key)) for key in columns])
+        if "failed" in row:
+            cells.append([str(row["name"]), str(row["failed"]), *[""] * (len(columns) - 2)])
+        else:
+            cells.append([_cell(key, row.get(key)) for key in columns])
     report.print_table(title, list(columns.values()), cells, note)
 
 
@@ -72,57 +59,25 @@ def _cell(key: str, value: Any) -> str:
 
 
 TIMES = {"median_s": "median", "p99_s": "p99", "repeats": "repeats"}
-
-
-def others(sections: dict[str, Any]) -> None:
-    """All sections but correction."""
-    if rows := sections.get("batch"):
-        plain("A batch against a single correction (box, 20 mm; one core)", rows,
-              {"name": "", **TIMES, "per_second": "per second"})  # fmt: skip
-    if rows := sections.get("blind"):
-        plain(
-            "Blind: no vision, five contacts with normals where nothing else is said",
-            rows,
-            {"name": "method", "object": "object", **TIMES, "success": "first", "among_8": "among 8"},
-            "first, among 8: the true pose is the first answer, or one of the first eight.",
-        )
-    if rows := sections.get("closest"):
-        plain(
-            "How far from the surface, per query, in batch",
-            rows,
-            {"name": "peer", "curvature": "curvature", **TIMES, "face_error_mm": "face mm", "rim_error_mm": "rim mm",
-             "rim_error_95_mm": "rim 95 % mm", "queries": "queries"},
-            "face, rim: median error of the distance away from and within 4 mm of a rim, against the true cylinder.",
-        )  # fmt: skip
-    if rows := sections.get("sensing"):
-        plain(
-            "Contact sensing, per contact (five fingers: per hand)",
-            rows,
-            {"name": "", **TIMES, "hot_median_s": "hot", "per_second": "per second", "success": "success",
-             "error_99_m": "99 % error m"},
-        )  # fmt: skip
-    if rows := sections.get("startup"):
-        plain("New processes, CPU time, interpreter included", rows, {"name": "", **TIMES})
-    if rows := sections.get("memory"):
-        plain(
-            "Peak memory of a process with one peer",
-            rows,
-            {"peer": "peer", "peak_mb": "MB", "beyond_none_mb": "beyond none"},
-            "none: Python, NumPy, SciPy, handsight and the drawn problems.",
-        )
-
-
-def growth(parts: dict[str, list[Row]]) -> None:
-    """Four tables."""
-    plain("Growth with contacts (box, 20 mm)", parts.get("contacts", []),
-          {"name": "peer", "contacts": "contacts", **TIMES, "success": "success"})  # fmt: skip
-    plain("Growth with points of the hand (box, 20 mm)", parts.get("outside", []),
-          {"name": "peer", "outside": "points", **TIMES, "success": "success"})  # fmt: skip
-    plain("Growth with hypotheses (box, 20 mm, both phases)", parts.get("hypotheses", []),
-          {"starts": "hypotheses", "outside": "hand points", **TIMES, "per_second": "per second"})  # fmt: skip
-    plain("Growth with triangles", parts.get("meshes", []),
-          {"shape": "file", "triangles": "triangles", "build_s": "build", "load_s": "from cache",
-           "query_s": "query"})  # fmt: skip
+OTHERS: dict[str, tuple[str, dict[str, str], str]] = {
+    "batch": (
+        "Descents of many starts against a single correction (box, 20 mm; one core)",
+        {"name": "", **TIMES, "per_second": "per second"},
+        "",
+    ),
+    "blind": (
+        "Blind: no vision, five contacts with normals where nothing else is said",
+        {"name": "method", "object": "object", **TIMES, "success": "first", "among_8": "among 8"},
+        "first, among 8: the true pose is the first answer, or one of the first eight.",
+    ),
+    "closest": (
+        "How far from the surface, per query, in batch",
+        {"name": "peer", **TIMES, "face_error_mm": "face mm", "rim_error_mm": "rim mm", "queries": "queries"},
+        "face, rim: median error of the distance away from and within 4 mm of a rim, against the true cylinder.",
+    ),
+    "startup": ("New processes, CPU time, interpreter included", {"name": "", **TIMES}, ""),
+}
+"""Of each section but correction: title, columns, note."""
 
 
 def ratios(found: dict[str, Any]) -> None:
@@ -141,9 +96,9 @@ def everything(results: dict[str, Any]) -> None:
     """All tables of a run, promises last."""
     sections = results["sections"]
     correction(sections.get("correction", []))
-    others(sections)
-    if "growth" in sections:
-        growth(sections["growth"])
+    for name, (title, columns, note) in OTHERS.items():
+        if found := sections.get(name):
+            plain(title, found, columns, note)
     if results["ratios"]:
         ratios(results["ratios"])
     report.print_table(

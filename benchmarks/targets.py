@@ -11,7 +11,7 @@ NEAR, FAR = "20 mm / 15°", "85 mm / 30°"
 
 @dataclass(frozen=True)
 class Target:
-    """A `Target` is one promise."""
+    """One promise."""
 
     what: str
     read: Read
@@ -82,52 +82,29 @@ def slowest(section: str, name: str) -> Read:
     )
 
 
-def best_rate(outside: int) -> Read:
-    """Returns the most hypotheses per second at any size of batch."""
-    return lambda results: max(
-        r["per_second"]
-        for r in results["sections"]["growth"]["hypotheses"]
-        if r["outside"] == outside and "per_second" in r
-    )
-
-
-def mesh_of_16k(key: str) -> Read:
-    """Returns a number of the can's mesh."""
-    return lambda results: next(
-        r[key] for r in results["sections"]["growth"]["meshes"] if r["shape"] == "can.ply"
-    )
-
-
 TARGETS = [
-    Target("correct_pose, 20 mm start, median", worst("ours", "median_s"), 120, scale=1e6, unit="µs"),
-    Target("  the same, repeated on one problem (hot)", worst("ours", "hot_median_s"), 60, scale=1e6, unit="µs"),
+    Target("correct_pose, 20 mm start, median", worst("ours", "median_s"), 150, scale=1e6, unit="µs"),
+    Target("  the same, repeated on one problem (hot)", worst("ours", "hot_median_s"), 45, scale=1e6, unit="µs"),
     Target("its kernel, median", worst("ours_kernel", "median_s"), 30, scale=1e6, unit="µs"),
     Target("correct_pose, p99 over median", tail, 4, unit="x"),
-    Target("faster than the paper's method, compiled", times_faster("ours / paper"), 5, at_most=False, unit="x"),
-    Target("  its kernel, the same", times_faster("ours_kernel / paper"), 15, at_most=False, unit="x"),
+    Target("faster than the paper's method, compiled", times_faster("ours / paper"), 3, at_most=False, unit="x"),
+    Target("  its kernel, the same", times_faster("ours_kernel / paper"), 10, at_most=False, unit="x"),
     Target("  success over the paper's, can", success_over("paper", "can"), 1, at_most=False, unit="x"),
     Target("  success over the paper's, box", success_over("paper", "box"), 1, at_most=False, unit="x"),
     Target("faster than small_gicp PLANE_ICP", times_faster("ours / small_gicp"), 2.5, at_most=False, unit="x"),
     Target("  its kernel, the same", times_faster("ours_kernel / small_gicp"), 2.5, at_most=False, unit="x"),
     Target("  success over small_gicp's, box", success_over("small_gicp", "box"), 2.5, at_most=False, unit="x"),
-    Target("correct_pose, 85 mm start, median", worst("ours", "median_s", FAR), 1, scale=1e3, unit="ms"),
+    Target("correct_pose, 85 mm start, median", worst("ours", "median_s", FAR), 1.2, scale=1e3, unit="ms"),
     Target("blind, five contacts with normals", slowest("blind", "handsight, blind"), 20, scale=1e3, unit="ms"),
     Target("blind, sixty without", slowest("blind", "handsight, 60"), 0.5, unit="s"),
     Target("correct_pose, 100 points of the hand over none", ratio("100 points of the hand / none"), 1.5, unit="x"),
-    Target("hypotheses", best_rate(0), 250, at_most=False, scale=1e-3, unit="k/s"),
-    Target("hypotheses with 100 outside points", best_rate(100), 70, at_most=False, scale=1e-3, unit="k/s"),
-    Target("contact sensing in batch, a core", of("sensing", "closed form", "per_second"), 40, False, 1e-6, "M/s"),
-    Target("five fingers, one public call", of("sensing", "five fingers, one"), 25, scale=1e6, unit="µs"),
-    Target("five fingers, a public call each", of("sensing", "five fingers, a call"), 25, scale=1e6, unit="µs"),
-    Target("field query in batch, with curvature", of("closest", "handsight field"), 0.07, scale=1e6, unit="µs"),
-    Target("  faster than Open3D's scene", times_faster("field / Open3D closest points"), 15, False, unit="x"),
-    Target("object from a file, 15 908 triangles", mesh_of_16k("build_s"), 0.3, unit="s"),
-    Target("  the same from the cache", mesh_of_16k("load_s"), 5, scale=1e3, unit="ms"),
+    Target("descents", of("batch", "a descent of many", "per_second"), 400, at_most=False, scale=1e-3, unit="k/s"),
+    Target("field query in batch, with curvature", of("closest", "handsight field"), 0.12, scale=1e6, unit="µs"),
     Target("import handsight", of("startup", "import"), 0.6, unit="s"),
     Target("handsight --help", of("startup", "handsight --help"), 0.5, unit="s"),
     Target("new process to first correction, warm", of("startup", "new process to first correction, warm"), 1.0,
            unit="s"),
-    Target("  the same, nothing compiled", of("startup", "new process to first correction, nothing"), 20, unit="s"),
+    Target("  the same, nothing compiled", of("startup", "new process to first correction, nothing"), 45, unit="s"),
     Target("handsight locate of one image, warm", of("startup", "handsight locate of one image, warm"), 1.5, unit="s"),
     Target("  the same, with a picture", of("startup", "handsight locate of one image, warm, with"), 1.5, unit="s"),
     Target("handsight track to its first pose, warm", of("startup", "handsight track"), 2.0, unit="s"),

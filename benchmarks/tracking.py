@@ -72,17 +72,9 @@ def updated(kind: str, count: int) -> list[str]:
         took[k] = time.perf_counter() - begin
     memory.append(resident())
     median, tail = 1e6 * np.quantile(took, [0.5, 0.99])
-    return [
-        kind,
-        f"{count:,}".replace(",", " "),
-        f"{tracker.corrections - corrections:,}".replace(",", " "),
-        f"{median:.0f}",
-        f"{tail:.0f}",
-        f"{count / (time.perf_counter() - began):.0f}",
-        f"{memory[1]:.0f}",
-        f"{memory[-1]:.0f}",
-        tracker.state,
-    ]
+    kept = f"{count} | {tracker.corrections - corrections} | {median:.0f} | {tail:.0f}"
+    rate = count / (time.perf_counter() - began)
+    return [kind, *kept.split(" | "), f"{rate:.0f}", f"{memory[1]:.0f}", f"{memory[-1]:.0f}", tracker.state]
 
 
 def cpu(name: str, scenario: Scenario) -> list[str]:
@@ -115,10 +107,10 @@ def print_cpu() -> None:
         for thing in ("can", "box")
         for how, motion in (("held", "grasp"), ("carried", "manipulate"))
     ]
-    columns = ["", "with a sight", "with a step", "with neither", "off by mm"]
     title = (
         f"CPU of Tracker.update, {RATE:.0f} a second, ten sights among them: median, 90 %, 99 %, most [µs]"
     )
+    columns = " | with a sight | with a step | with neither | off by mm"
     report.print_table(title, columns, cells, report.machine())
 
 
@@ -151,40 +143,23 @@ def replayed(images: bool, repeats: int) -> list[str]:
 def main() -> None:
     """Prints the tables."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument(
-        "--updates", type=report.at_least(1), default=20_000, help="of each kind (default: %(default)s)"
-    )
-    arguments.add_argument("--only", choices=KINDS, help="this kind of update and nothing else")
-    arguments.add_argument(
-        "--repeats", type=report.at_least(1), default=5, help="of each recording (default: %(default)s)"
-    )
-    arguments.add_argument("--cpu", action="store_true", help="what a sight costs, and nothing else")
+    add, positive = arguments.add_argument, report.at_least(1)
+    add("--updates", type=positive, default=20_000, help="of each kind (default: %(default)s)")
+    add("--repeats", type=positive, default=5, help="of each recording (default: %(default)s)")
+    add("--cpu", action="store_true", help="what a sight costs, and nothing else")
     given = arguments.parse_args()
-    kinds = [given.only] if given.only else [] if given.cpu else list(KINDS)
-    cells = [updated(kind, given.updates) for kind in kinds]
-    columns = [
-        "",
-        "updates",
-        "corrections",
-        "median µs",
-        "99 % µs",
-        "a second",
-        "MB at 10 %",
-        "MB at the end",
-        "state",
-    ]
-    if cells:
-        report.print_table(
-            "Tracker.update, five fingers on a can (synthetic)", columns, cells, report.machine()
+    if not given.cpu:
+        cells = [updated(kind, given.updates) for kind in KINDS]
+        columns = (
+            " | updates | corrections | median µs | 99 % µs | a second | MB at 10 % | MB at the end | state"
         )
-    if given.only:
-        return
+        title = "Tracker.update, five fingers on a can (synthetic)"
+        report.print_table(title, columns, cells, report.machine())
     print_cpu()
-    if given.cpu:
-        return
-    cells = [replayed(images, given.repeats) for images in (False, True)]
-    columns = ["", "seconds", "MB", "corrections", "times real time", "least-most"]
-    report.print_table("handsight track without its figure", columns, cells, report.machine())
+    if not given.cpu:
+        cells = [replayed(images, given.repeats) for images in (False, True)]
+        columns = " | seconds | MB | corrections | times real time | least-most"
+        report.print_table("handsight track without its figure", columns, cells, report.machine())
 
 
 if __name__ == "__main__":

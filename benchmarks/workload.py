@@ -1,6 +1,6 @@
 """What every peer is given and how every answer is judged.
 
-Problems are those of experiments/convergence.py: a can and a box, five contacts with 0.5 mm and 2 degrees of
+Problems are those of experiments/touch/convergence.py: a can and a box, five contacts with 0.5 mm and 2 degrees of
 noise, vision off by a Gaussian draw. A peer may build what it likes from the object beforehand (`prepare`, not timed)
 and may turn a problem's contacts into its own data type (`ready`, not timed either: handsight's `Contacts` exist by
 then, too); timed is the call that `ready` answers.
@@ -18,8 +18,8 @@ from testbed import scenes
 
 NEAR, FAR = scenes.VISION_ERRORS
 OBJECTS = tuple(scenes.OBJECTS)
-CHOSEN_ON, REPORTED_ON = 1, 0
-"""Seeds: settings of the peers are chosen on one, numbers reported on the other."""
+REPORTED_ON = 0
+"""Seed of the problems; settings of the peers were chosen on another."""
 SHIFT_LIMIT, TURN_LIMIT = 5e-3, np.deg2rad(8)
 OPEN = 1 / 3
 """Contacts leave a direction open when its standard deviation is above this part of the object's radius."""
@@ -89,7 +89,7 @@ def models() -> dict[str, hs.ObjectModel]:
 
 
 def draw(object_name: str, error: str, trial: int, seed: int = REPORTED_ON, contacts: int = 5) -> Problem:
-    """Returns problem `trial` of a seed; can and box at 20 and 85 mm are those of experiments/convergence.py."""
+    """Returns problem `trial` of a seed; can and box at 20 and 85 mm are those of experiments/touch/convergence.py."""
     o, e = OBJECTS.index(object_name), list(scenes.VISION_ERRORS).index(error)
     rng = np.random.default_rng([seed, o, e, trial])
     make, touch = scenes.OBJECTS[object_name]

@@ -9,7 +9,7 @@ project_copyright = "The handsight authors; Apache-2.0"
 version = release = installed_version("handsight")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "generated"]  # pages include the tables of generated/
 
 html_theme = "furo"
 html_title = f"handsight {release}"

@@ -88,7 +88,7 @@ def exists(example: Example) -> str | None:
 @cache
 def python_files() -> list[str]:
     """The Python files of the repository, from its root."""
-    folders = ("src", "tests", "docs", "examples", "experiments", "benchmarks", "ros")
+    folders = ("src", "tests", "docs", "examples", "experiments", "benchmarks", "testbed", "ros")
     return [path.relative_to(ROOT).as_posix() for folder in folders for path in (ROOT / folder).rglob("*.py")]
 
 

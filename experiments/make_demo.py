@@ -18,7 +18,7 @@ from handsight.simulation import Scenario, add_depth_noise, camera_facing, rig_o
 from handsight.simulation.camera import Renderer
 from handsight.simulation.scene import scene
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from shared import scenes
+from testbed import scenes
 from testbed.recordings import record
 from testbed.report import Array, Row
 

@@ -102,7 +102,8 @@ def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
 
 def close_up(trial: Any, T_palm_object: Array | None = None, color: Any = GREEN) -> Array:
     """Returns a picture (h, w, 3) of a simulated grasp from near: as it is, or with the object at another pose only."""
-    from handsight.simulation import camera_facing, render
+    from handsight.simulation import camera_facing
+    from testbed.pictures import render
 
     at = trial.sample.T_world_object[:3, 3] - [CENTRED, 0, 0]
     options: dict[str, Any] = {"T_world_camera": camera_facing(at + AWAY, at)}

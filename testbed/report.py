@@ -65,7 +65,7 @@ def parsed(arguments: argparse.ArgumentParser, *, trials: int, quick_trials: int
     add("--quick", action="store_true", help=f"a look in under half a minute: {quick_trials} trials")
     add("--trials", type=at_least(2), metavar="N", help=f"default: {trials}, or {quick_trials} with --quick")
     add("--seed", type=at_least(0), default=0, metavar="S", help=f"another seed, other trials {default}")
-    where = f"where CSV and PNG go {default}"
+    where = f"where files go {default}"
     add("--output", type=Path, default=Path("results"), metavar="DIR", help=where)
     given = arguments.parse_args()
     number = given.trials or (quick_trials if given.quick else trials)
@@ -141,36 +141,25 @@ def summary(values: Iterable[float]) -> tuple[float, float]:
     return float(array.mean()), float(array.std(ddof=1) / np.sqrt(len(array)))
 
 
-def positive(differences: Iterable[float]) -> bool | None:
-    """Returns whether the mean is above zero; None where it is within two standard errors of zero."""
-    mean, error = summary(differences)
-    return None if abs(mean) <= 2 * error else mean > 0
-
-
-def all_of(answers: Iterable[bool | None]) -> bool | None:
-    """Returns False where any answer is false, else None where any is None, else True."""
-    listed = list(answers)
-    return False if False in listed else None if None in listed else True
-
-
 def plus_minus(values: Iterable[float], digits: int = 2) -> str:
     """Returns the text mean±standard error, with one significant digit where `digits` would show a zero."""
-    return with_error(*summary(values), digits)
-
-
-def with_error(mean: float, error: float, digits: int = 2) -> str:
-    """Returns the text mean±error as `plus_minus` does."""
+    mean, error = summary(values)
     form = f".{digits}f" if abs(mean) >= 0.5 * 10**-digits or mean == 0 else ".0e"
     return f"{mean:{form}}±{error:{form}}"
 
 
-def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> Rows:
-    """Returns a row for each combination of `keys`, in order of appearance: mean, standard error, median of `names`."""
-    groups: dict[tuple[Any, ...], Rows] = {}
+def groups(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[Any, ...], Rows]:
+    """Returns the rows of each combination of `keys`, in order of appearance."""
+    found: dict[tuple[Any, ...], Rows] = {}
     for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return found
+
+
+def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> Rows:
+    """Returns a row for each combination of `keys`: mean, standard error and median of `names`."""
     columns, table = list(names), []
-    for key, members in groups.items():
+    for key, members in groups(rows, keys).items():
         line = dict(zip(keys, key, strict=True))
         for name in columns:
             numbers = [row[name] for row in members]
@@ -180,21 +169,74 @@ def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> R
     return table
 
 
+Cell = Callable[[Rows], str]
+"""The text of a table's cell about some rows."""
+
+
+def of(name: str, form: str = ".2f", statistic: Callable[[Array], Any] = np.mean, scale: float = 1.0) -> Cell:
+    """Returns the cell of a statistic over those rows that have a number in a column; empty where none has."""
+
+    def cell(rows: Rows) -> str:
+        numbers = np.array([row[name] for row in rows if name in row], dtype=float)
+        numbers = numbers[~np.isnan(numbers)]
+        return f"{scale * statistic(numbers):{form}}" if len(numbers) else ""
+
+    return cell
+
+
+def quantile(share: float) -> Callable[[Array], Any]:
+    """Returns the function of that quantile."""
+    return lambda numbers: np.quantile(numbers, share)
+
+
+def ratio(name: str, to: str, form: str = ".2f") -> Cell:
+    """Returns the cell of the sum of a column over that of another; empty where that is zero."""
+
+    def cell(rows: Rows) -> str:
+        total = np.nansum(values(rows, to))
+        return f"{np.nansum(values(rows, name)) / total:{form}}" if total else ""
+
+    return cell
+
+
+def where(cell: Cell, **key: object) -> Cell:
+    """Returns the cell about those rows whose columns have the given values; empty where there are none."""
+    return lambda rows: cell(mine) if (mine := chosen(rows, **key)) else ""
+
+
+def error_of(name: str, digits: int = 1) -> Cell:
+    """Returns the cell of a column's mean±standard error."""
+    return lambda rows: plus_minus(values(rows, name), digits)
+
+
+def count(rows: Rows) -> str:
+    """Returns how many rows there are."""
+    return str(len(rows))
+
+
+def print_by(title: str, rows: Rows, keys: str, cells: Mapping[str, Cell], note: str = "") -> None:
+    """Prints a line for each combination of the columns `keys`, which commas separate, by the cells' titles."""
+    names = keys.split(", ")
+    lines = [[*key, *(cell(mine) for cell in cells.values())] for key, mine in groups(rows, names).items()]
+    print_table(title, [*names, *cells], lines, note)
+
+
 def print_grouped(
     title: str, rows: Rows, keys: Sequence[str], digits: Mapping[str, int], note: str = ""
 ) -> None:
     """Prints `grouped` rows as mean±standard error, each column with its number of digits."""
-    cells = []
-    for line in grouped(rows, keys, digits):
-        numbers = (with_error(line[f"{name}_mean"], line[f"{name}_se"], d) for name, d in digits.items())
-        cells.append([*(line[key] for key in keys), *numbers])
-    print_table(title, [*keys, *digits], cells, note)
+    print_by(title, rows, ", ".join(keys), {name: error_of(name, d) for name, d in digits.items()}, note)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], note: str = "") -> None:
-    """Prints a table, its first column aligned left and numbers right, with a note below."""
+def print_table(
+    title: str, columns: str | Sequence[str], rows: Iterable[Sequence[object]], note: str = ""
+) -> None:
+    """Prints a table, its first column aligned left and numbers right, with a note below.
+
+    columns: their titles, in a text separated by " | ".
+    """
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=(0, 1, 0, 0))
-    for i, name in enumerate(columns):
+    for i, name in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
         table.add_column(name, justify="right" if i else "left")
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
@@ -214,13 +256,6 @@ def say(text: str) -> None:
 def wrote(path: Path) -> None:
     """Prints the name of a file that was written, without wrapping it."""
     _console().print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
-
-
-def verdict(claim: str, holds: bool | None, numbers: str) -> dict[str, str]:
-    """Prints a claim with its outcome and returns both as a row; `holds` is None where the numbers do not decide."""
-    outcome = {True: "confirmed", False: "NOT confirmed", None: "not decided by so few trials"}[holds]
-    say(f"* {claim}: {outcome}. {numbers}")
-    return {"claim": claim, "outcome": outcome, "numbers": numbers}
 
 
 def _console() -> Console:

@@ -1,19 +1,22 @@
 """What every test shares, and what the workers of a run share: compiled kernels, distance fields, simulations."""
 
 import contextlib
-import hashlib
 import os
-import pickle
+import socket
 import warnings
+from importlib.util import find_spec
+from itertools import islice
+from multiprocessing import Pipe
 from pathlib import Path
+from threading import Thread
+from types import SimpleNamespace
 
 import hypothesis
+import numpy as np
 import pytest
 
+import shared
 from handsight import cache_folder
-
-with contextlib.suppress(ImportError):  # not on Windows: there workers may do the same work twice
-    import fcntl
 
 # Before anything compiles: kernels are kept from run to run, apart from the user's, by what they are made of; not in a
 # checkout that others can write to.
@@ -26,23 +29,25 @@ cache_folder._warn_once.cache_clear()
 
 # The same examples every time, however busy the machine; other ones with --hypothesis-profile=explore.
 hypothesis.settings.register_profile(
-    "handsight",
-    derandomize=True,
-    deadline=None,
-    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+    "handsight", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.register_profile("explore", deadline=None)
 hypothesis.settings.load_profile("handsight")
 
 
-@contextlib.contextmanager
-def locked(path):
-    """Inside, no other worker is; a worker that is killed leaves nothing locked."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        if "fcntl" in globals():
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+NEEDED = {"tracking": ("gymnasium_robotics",), "viewer": ("gymnasium_robotics", "mujoco", "rosbags")}
+"""Packages without which a folder's tests are left out."""
+
+
+def pytest_ignore_collect(collection_path):
+    """Leaves out a folder whose packages are not installed; None leaves the others to pytest."""
+    absent = [name for name in NEEDED.get(collection_path.name, ()) if find_spec(name) is None]
+    if absent:
+        warnings.warn(
+            pytest.PytestWarning(f"{collection_path} is left out without {', '.join(absent)}"), stacklevel=1
+        )
+        return True
+    return None
 
 
 def pytest_sessionstart(session):
@@ -50,14 +55,14 @@ def pytest_sessionstart(session):
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return  # a few tests need few kernels, and compile those
-    from handsight._kernels.runtime import kernel_cache
+    from handsight._kernels.jit import FOLDER
     from handsight.tracking import warm
 
     count, k = int(worker["workercount"]), int(worker["workerid"].removeprefix("gw"))
     names = list(warm.GROUPS)
     for name in sorted(names, key=lambda name: (names.index(name) % count != k, names.index(name))):
-        done = kernel_cache.folder() / f"{name}.done"
-        with locked(done.with_suffix(".lock")):
+        done = FOLDER / f"{name}.done"
+        with shared.locked(done.with_suffix(".lock")):
             if not done.exists():
                 warm.GROUPS[name]()
                 done.touch()
@@ -77,30 +82,190 @@ def fields_are_cached_apart(shared_folder):
     """Tests neither read nor fill the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HANDSIGHT_CACHE", str(shared_folder / "cache"))
+        patch.setenv(shared.FOLDER, str(shared_folder))
         yield
 
 
 @pytest.fixture(scope="session")
-def made_once(shared_folder):
-    """`made_once(key, make)`: what `make()` answers, made by one worker and read (pickled) by the others.
+def made_once():
+    """`made_once(key, make)`: what `make()` answers, made by one worker of a run."""
+    return shared.made_once
 
-    The key says all that the answer depends on, as text.
-    """
 
-    def made(key, make):
-        name = hashlib.sha256(key.encode()).hexdigest()[:16]
-        path = shared_folder / f"{name}.pickle"
-        with locked(path.with_suffix(".lock")):
-            if not path.exists():
-                path.write_bytes(pickle.dumps(make()))
-        return pickle.loads(path.read_bytes())
+@pytest.fixture(scope="session")
+def simulated():
+    """`simulated(scenario)`: all its samples, simulated once in a run."""
+    return shared.simulated
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+# Commands
+
+
+@pytest.fixture
+def asked(monkeypatch, capsys, tmp_path):
+    """`asked(*arguments)`: stdout and stderr of a command that runs in this process and ends as expected."""
+    from cli.commands import called
+
+    def ask(*arguments, cwd=tmp_path, expect=0, columns=100):
+        assert called(monkeypatch, cwd, *arguments, columns=columns) == expect
+        return capsys.readouterr()
+
+    return ask
+
+
+# Hands
+
+
+@pytest.fixture(scope="session")
+def shadow_hand():
+    from hand.hands import shadow
+
+    return shadow()
+
+
+@pytest.fixture
+def robot_file(tmp_path):
+    from hand.hands import ROBOT
+
+    path = tmp_path / "two_fingers.urdf"
+    path.write_text(ROBOT)
+    return path
+
+
+@pytest.fixture
+def robot(robot_file):
+    pytest.importorskip("mujoco")
+    from hand.hands import ROBOT_TIPS
+    from handsight.hand import Hand
+
+    return Hand.from_file(robot_file, palm="palm", tips=ROBOT_TIPS)
+
+
+# Short grasps, simulated once for all tests and all workers
+
+
+class Grasp:
+    """A scenario's samples, with the robot's rig and the object's model."""
+
+    def __init__(self, scenario, samples):
+        from handsight.simulation import model_of, rig_of
+
+        self.samples = samples
+        self.rig, self.model = rig_of(scenario), model_of(scenario)
+        self.observations = [sample.observation for sample in self.samples]
+        self.held = [sample.observation for sample in self.samples if sample.phase == "hold"]
+        self.T_palm_object = self.samples[-1].T_palm_object
+
+
+@pytest.fixture(scope="session")
+def grasped(simulated):
+    """`grasped(**scenario)`: the Grasp of a scenario of the Shadow hand, which ends when the object is held."""
+    pytest.importorskip("mujoco")
+    pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
+    from handsight.simulation import Scenario
+
+    def made(**fields):
+        scenario = Scenario(motion="grasp", **fields)
+        return Grasp(scenario, simulated(scenario))
 
     return made
 
 
 @pytest.fixture(scope="session")
-def simulated(made_once):
-    """`simulated(scenario)`: all its samples, simulated once in a run."""
-    from handsight.simulation import simulate
+def grasp(grasped):
+    """A short grasp of the can: its rig, and its samples."""
+    can = grasped(rate=20)
+    return can.rig, can.samples
 
-    return lambda scenario: made_once(repr(scenario), lambda: list(simulate(scenario)))
+
+@pytest.fixture(scope="session")
+def can(grasped):
+    return grasped(object="can", seed=11, rate=50)
+
+
+@pytest.fixture(scope="session")
+def box(grasped):
+    return grasped(object="box", seed=12, rate=50)
+
+
+# A second of a built-in recording, tracked, and a page to show it on
+
+
+OBSERVATIONS = 120
+
+
+@pytest.fixture(scope="session")
+def tracked():
+    """The can's rig, model, first observations, their moments and the truth."""
+    import handsight
+    from handsight.evaluation import Truths
+    from handsight.recording import open_recording
+    from handsight.rig import Rig
+    from handsight.tracking import Tally, Tracker
+    from handsight.viewer.timeline import Timeline, follow
+
+    data = Path(handsight.__file__).parent / "data"
+    rig = Rig.from_file(data / "can.rig.yaml")
+    model, timeline = rig.objects["can"].model(), Timeline()
+    with open_recording(data / "can.mcap", rig) as recording:
+        observations = list(islice(recording.observations(), OBSERVATIONS))
+        truths = Truths(recording.truth)
+    list(follow(observations, Tracker(rig, model), Tally(), timeline))
+    return SimpleNamespace(rig=rig, model=model, observations=observations, timeline=timeline, truths=truths)
+
+
+@pytest.fixture
+def free_port():
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        return held.getsockname()[1]
+
+
+@pytest.fixture
+def viser():
+    """The package that serves the page; a test is skipped without it."""
+    if find_spec("viser") is None:
+        pytest.skip("the page needs handsight[view]: viser is not installed")
+
+
+@pytest.fixture
+def page(viser, tracked, free_port):
+    from handsight.viewer.page import Page
+
+    with contextlib.closing(Page(tracked.rig, tracked.model, port=free_port, title="can")) as made:
+        yield made
+
+
+@pytest.fixture
+def pages(viser, monkeypatch):
+    """The pages of viewers, newest last: served in a thread of this process, where a test can look at them."""
+    from handsight.viewer import live_viewer
+
+    made = []
+
+    def begin():
+        ours, theirs = Pipe()
+        Thread(target=live_viewer.serve, args=(theirs,), daemon=True).start()
+        return ours, None
+
+    class Kept(live_viewer.Page):
+        def __init__(self, *given, **options):
+            super().__init__(*given, **options)
+            made.append(self)
+
+    monkeypatch.setattr(live_viewer, "begin", begin)
+    monkeypatch.setattr(live_viewer, "Page", Kept)
+    return made
+
+
+@pytest.fixture
+def watched(viser, monkeypatch):
+    """Somebody looks at every page."""
+    from handsight.viewer.page import Page
+
+    monkeypatch.setattr(Page, "watched", True)

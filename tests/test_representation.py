@@ -53,7 +53,7 @@ def test_a_pose_is_shown_by_position_and_angle_and_a_default_is_left_out():
     T = np.eye(4)
     T[:3, 3], T[:3, :3] = (0.01, -0.02, 0.3), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     assert repr(hs.PoseMeasurement(T)) == (
-        "PoseMeasurement(T_frame_object=<[0.01 -0.02 0.3] m, turned 90°>, frame='camera')"
+        "PoseMeasurement(T_frame_object=<[0.01, -0.02, 0.3] m, turned 90°>, frame='camera')"
     )
 
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from handsight import se3
-from handsight.errors import HandsightError, InvalidInput, InvalidTransform
+from handsight.errors import InvalidInput, InvalidTransform
+from testbed.refusals import refused
 
 ANGLES = (0.0, 1e-300, 1e-12, 1e-9, 1.01e-9, 1e-6, 9.99e-3, 1e-2, 0.5, 2.0, 2.68, 2.7, 3.0)
 NEAR_PI = tuple(np.pi - e for e in (1e-3, 1e-6, 1e-9, 1e-12, 0.0))
@@ -17,8 +16,6 @@ AXES = np.array(
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
 ROTATION_VECTORS = np.array([angle * axis for angle in ANGLES + NEAR_PI for axis in AXES])
 """Near 0, on both sides of every change of formula, near π and exactly π about each axis."""
-
-finite_vectors = st.lists(st.floats(-3, 3), min_size=3, max_size=3).map(np.array)
 
 
 def transforms(seed=0, size=200):
@@ -87,27 +84,6 @@ def test_a_half_turn_keeps_its_axis_up_to_sign(axis):
     np.testing.assert_allclose(np.abs(w @ axis), np.pi, rtol=1e-14)
 
 
-def test_a_transform_times_its_inverse_is_the_identity():
-    T = transforms()
-    np.testing.assert_allclose(T @ se3.inverse(T), np.broadcast_to(np.eye(4), T.shape), atol=1e-14)
-
-
-def test_neighbours_cancel():
-    T_a_b, T_b_c = se3.random(np.random.default_rng(5), 2)
-    points_c = np.random.default_rng(6).normal(size=(5, 3))
-    np.testing.assert_allclose(
-        se3.apply(T_a_b @ T_b_c, points_c), se3.apply(T_a_b, se3.apply(T_b_c, points_c)), atol=1e-14
-    )
-
-
-@given(finite_vectors, finite_vectors)
-def test_skew_is_the_cross_product(v, x):
-    np.testing.assert_allclose(se3.skew(v) @ x, np.cross(v, x), atol=1e-14)
-    np.testing.assert_array_equal(se3.cross(v, x), np.cross(v, x))
-    np.testing.assert_array_equal(se3.cross(v, x[None]), np.cross(v, x[None]))
-    np.testing.assert_array_equal(se3.skew(v).T, -se3.skew(v))
-
-
 def test_moved_and_difference_undo_each_other():
     T, T_reference = transforms(9), transforms(10)[::-1]
     delta = se3.difference(T, T_reference)
@@ -166,24 +142,7 @@ def test_a_stack_agrees_with_its_singles(function):
     assert function(T[:0]).shape == (0, *singles.shape[1:])
 
 
-def test_a_half_turn_in_a_stack_changes_no_neighbour():
-    # rotation_log takes another road for the whole stack when one member is near π.
-    small = np.array([[1e-12, 0, 0], [1e-3, 2e-3, 0], [0, 0, 1.0]])
-    w = np.vstack([small, [[np.pi, 0, 0]]])
-    np.testing.assert_allclose(se3.rotation_log(se3.rotation_exp(w))[:3], small, rtol=1e-9, atol=1e-20)
-
-
 # Random transforms, poses of files
-
-
-def test_random_transforms_are_rigid_repeatable_and_spread():
-    T = se3.random(np.random.default_rng(15), 4000, spread=0.1)
-    assert se3.random(np.random.default_rng(15)).shape == (4, 4)
-    np.testing.assert_array_equal(T, se3.random(np.random.default_rng(15), 4000, spread=0.1))
-    for one in T[:10]:
-        se3.check(one, "T")
-    np.testing.assert_allclose(T[:, :3, 3].std(axis=0), 0.1, rtol=0.06)  # 5 standard errors
-    assert np.abs(T[:, :3, :3].mean(axis=0)).max() < 5 / np.sqrt(3 * 4000)
 
 
 def test_a_pose_of_a_file_may_have_a_quaternion_of_any_length():
@@ -192,15 +151,15 @@ def test_a_pose_of_a_file_may_have_a_quaternion_of_any_length():
 
 
 @pytest.mark.parametrize(
-    ("position", "quaternion", "message"),
+    ("position", "quaternion", "field"),
     [
-        ([0, 0, 0], [0, 0, 0, 0], "quaternion_xyzw: expected a direction, got a zero vector"),
-        ([0, 0, 0], [0, 0, 1], "quaternion_xyzw: expected 4 finite numbers"),
-        ([0, np.inf, 0], [0, 0, 0, 1], "position: expected 3 finite numbers"),
+        ([0, 0, 0], [0, 0, 0, 0], "quaternion_xyzw"),
+        ([0, 0, 0], [0, 0, 1], "quaternion_xyzw"),
+        ([0, np.inf, 0], [0, 0, 0, 1], "position"),
     ],
 )
-def test_a_wrong_pose_is_named(position, quaternion, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_a_wrong_pose_is_named(position, quaternion, field):
+    with refused(InvalidInput, field):
         se3.from_position_quaternion(position, quaternion)
 
 
@@ -214,24 +173,22 @@ def spoilt(row, column, value):
 
 
 @pytest.mark.parametrize(
-    ("T", "message"),
+    "T",
     [
-        ("pose", r"T_a_b: expected finite numbers of shape \(4, 4\), got pose"),
-        ([[1, 2], [3]], r"T_a_b: expected finite numbers of shape \(4, 4\), got \[\[1, 2\], \[3\]\]"),
-        (np.eye(3), r"T_a_b: expected finite numbers of shape \(4, 4\), got shape \(3, 3\)"),
-        (np.eye(4)[None], r"T_a_b: expected finite numbers of shape \(4, 4\), got shape \(1, 4, 4\)"),
-        (spoilt(0, 3, np.nan), r"T_a_b: expected finite numbers of shape \(4, 4\), got NaN or infinity"),
-        (spoilt(0, 0, np.inf), r"T_a_b: expected finite numbers of shape \(4, 4\), got NaN or infinity"),
-        (spoilt(0, 0, 1.001), r"T_a_b: rotation is not orthonormal \(drift 2\.0e-03\)"),
-        (spoilt(0, 0, -1), r"T_a_b: expected a rotation, got a reflection \(determinant -1\)"),
-        (spoilt(3, 0, 0.1), r"T_a_b: expected the last row \[0, 0, 0, 1\], got \[0\.1, 0\.0, 0\.0, 1\.0\]"),
+        "pose",
+        [[1, 2], [3]],
+        np.eye(3),
+        np.eye(4)[None],
+        spoilt(0, 3, np.nan),
+        spoilt(0, 0, np.inf),
+        spoilt(0, 0, 1.001),
+        spoilt(0, 0, -1),
+        spoilt(3, 0, 0.1),
     ],
 )
-def test_what_is_not_a_rigid_transform_is_refused_and_named(T, message):
-    with pytest.raises(InvalidTransform, match=f"^{message}") as refused:
+def test_what_is_not_a_rigid_transform_is_refused_and_named(T):
+    with refused(InvalidTransform, "T_a_b"):
         se3.check(T, "T_a_b")
-    assert isinstance(refused.value, HandsightError)
-    assert isinstance(refused.value, ValueError)
 
 
 def test_a_rigid_transform_passes_as_a_copy_of_its_own():
@@ -243,15 +200,6 @@ def test_a_rigid_transform_passes_as_a_copy_of_its_own():
     rounded = T.astype(np.float32)  # float32's rounding is no reason to refuse
     assert se3.check(rounded, "T").dtype == np.float64
     assert se3.check(np.eye(4, dtype=int).tolist(), "T").dtype == np.float64
-
-
-def test_one_quaternion_is_that_of_a_stack():
-    rng = np.random.default_rng(0)
-    turns = [np.pi * axis for axis in np.eye(3)] + [np.zeros(3)]
-    R = np.concatenate([se3.random(rng, 200)[:, :3, :3], se3.rotation_exp(np.array(turns))])
-    stacked = se3.quaternion_from_rotation(R)
-    for one, expected in zip(R, stacked, strict=True):
-        np.testing.assert_allclose(se3.quaternion_from_rotation(one), expected, atol=1e-15)
 
 
 def test_a_point_s_jacobian_is_how_it_moves_with_its_body():
@@ -270,5 +218,5 @@ def test_rounded_numbers_are_the_nearest_transform_and_others_are_refused():
         np.testing.assert_allclose(found, T, atol=near)
         np.testing.assert_allclose(found[:3, :3].T @ found[:3, :3], np.eye(3), atol=1e-12)
     for wrong in (np.diag([1.0, 1, 1.01, 1]), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(3)):
-        with pytest.raises(InvalidTransform, match="^T: "):
+        with refused(InvalidTransform, "T"):
             se3.rounded(wrong, "T")

@@ -3,7 +3,7 @@
     python -m benchmarks.golden record FOLDER
     python -m benchmarks.golden compare FOLDER
 
-Three thousand corrections are drawn from fixed seeds, with NumPy alone. Ten recordings are simulated once, while
+Some 2 800 corrections are drawn from fixed seeds, with NumPy alone. Ten recordings are simulated once, while
 recording, and lie in FOLDER beside the answers, which are plain numbers (.npz) and words (.json). Forty depth images
 are real ones of the data folder. Objects are built
 anew in each run. A near tie that flipped is an answer whose pose has moved by more than 1 mm or 1°. Bits are promised

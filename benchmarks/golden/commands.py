@@ -84,7 +84,7 @@ def tracked(folder: Path, *, quick: bool) -> Answers:
             continue
         path = recording(folder / "recordings", name, told)
         with tempfile.TemporaryDirectory() as results:
-            called("track", str(path), "-o", results)
+            called("track", str(path), "--output-folder", results)
             yield f"{name}/track", columns(Path(results, "track.csv"))
 
 
@@ -93,7 +93,7 @@ def weighed(folder: Path, *, quick: bool) -> Answers:
     for name, told in list(WEIGHED.items())[: 1 if quick else None]:
         path = recording(folder / "recordings", name, told)
         with tempfile.TemporaryDirectory() as results:
-            called("track", str(path), "-o", results)
+            called("track", str(path), "--output-folder", results)
             weight = json.loads(Path(results, "summary.json").read_text(encoding="utf-8"))["weight"]
         yield f"{name}/weight", _flat(weight)
 
@@ -110,24 +110,13 @@ def located(folder: Path, *, quick: bool) -> Answers:
             if path.exists()
         )
         with tempfile.TemporaryDirectory() as results:
-            shutil.copy(source / "depth.png", results)
-            intrinsics = {key: camera[key] for key in ("fx", "fy", "cx", "cy")} | {
-                "width": 640,
-                "height": 480,
-            }
+            picture, found = Path(results, "depth.png"), Path(results, "found.jsonl")
+            shutil.copy(source / "depth.png", picture)
+            intrinsics = {key: camera[key] for key in ("fx", "fy", "cx", "cy")}
+            intrinsics |= {"width": 640, "height": 480}
             Path(results, "camera.json").write_text(json.dumps(intrinsics), encoding="utf-8")
-            found = Path(results, "found.jsonl")
-            scale = str(camera["depth_scale"])
-            called(
-                "locate",
-                f"{results}/depth.png",
-                "--object",
-                str(mesh),
-                "--depth-scale",
-                scale,
-                "-o",
-                str(found),
-            )
+            options = ["--object", str(mesh), "--depth-scale", str(camera["depth_scale"])]
+            called("locate", str(picture), *options, "-o", str(found))
             line = json.loads(found.read_text(encoding="utf-8"))
         line.pop("seconds", None)
         line.pop("picture", None)

@@ -1,4 +1,4 @@
-"""Three thousand corrections: of eight surfaces and three scans, with all that a correction can be given."""
+"""Some 2 800 corrections: of eight surfaces and three scans, with all that a correction can be given."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from benchmarks.golden.shapes import Shape, on, transform
 from handsight.correction import Outside, Plane, WeightEvidence
 
 COUNTS = {"vision": 900, "far": 300, "wrong": 300, "blind": 200, "points": 300, "planes": 150, "weight": 200}
-COUNTS |= {"answers": 200, "scans": 240, "paper": 40, "starts": 20, "batch": 150}
+COUNTS |= {"scans": 240, "paper": 40, "batch": 150}
 """Problems of each kind; "wrong" have a contact that is none of the object's, "far" a vision that is far off."""
 FINGERS = {"blind": (4, 8), "wrong": (4, 8), "paper": (4, 8)}
 PAPER = ("paper-lm", "paper-gd", "paper-lm-distance", "paper-gd-distance")
@@ -31,8 +31,6 @@ def touched(kind: str, shape: Shape, T: Array, rng: Rng, k: int) -> Any:
         points[k % n] += 0.03 * rng.normal(size=3)
         normals[k % n] = rng.normal(size=3)
     lacking = rng.random(n) < (0.2 if kind in ("vision", "wrong") else 0.0)
-    if kind == "vision" and k % 7 == 0:
-        return hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1, of_residual=True)
     felt = [None if none else normal for normal, none in zip(normals, lacking, strict=True)]
     return hs.Contacts(points, felt, sigma_point=NOISE[0], sigma_normal=NOISE[1])
 
@@ -53,8 +51,7 @@ def hand_points(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
     links, slacks = rng.integers(0, 6, 60), rng.uniform(0, 2e-3, 60)
     if k % 2:
         return points
-    skin = np.repeat([1e-3, 0.02], 3) if k % 10 == 4 else None
-    return Outside(points, sigmas=1.5e-3, links=links, slacks=slacks, skin=skin)
+    return Outside(points, sigmas=1.5e-3, links=links, slacks=slacks)
 
 
 def planes(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
@@ -86,12 +83,8 @@ def problem(kind: str, shape: Shape, rng: Rng, k: int) -> dict[str, Any]:
         given["outside"] = planes(shape, T, rng, k)
     if kind == "weight":
         given["weight"] = weight(shape, T, rng, k)
-    if kind == "answers":
-        given |= {"samples": 400} if k % 10 == 0 else {"answer": ("maximum", "mean")[k % 2]}
     if kind == "paper":
         given["method"] = PAPER[k % 4]
-    if kind == "starts":
-        given["method"] = hs.TwoPhase(starts=20, reject_outliers=k % 2 == 0)
     return given
 
 

@@ -18,12 +18,10 @@ MAKERS: dict[str, Callable[[], Peer]] = {
     "ours": _of("ours", "Ours"),
     "ours_kernel": _of("ours", "OursKernel"),
     "paper": _of("paper_numba", "PaperCompiled"),
-    "paper_pruned": _of("paper_numba", "PaperCompiled", prune=True),
-    "scipy": _of("scipy_lsq", "ScipyLeastSquares"),
     "open3d": _of("open3d_icp", "Open3DICP"),
     "small_gicp": _of("small_gicp", "SmallGICP"),
 }
-"""The peers that start from vision; Scaling Series starts from nothing and has its own section."""
+"""The peers that start from vision."""
 
 
 FIRST_POSES: dict[str, Callable[[], Any]] = {

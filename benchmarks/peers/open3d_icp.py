@@ -55,10 +55,6 @@ class Open3DICP:
 
         return solve
 
-    def settings(self) -> list[dict[str, float]]:
-        """Cloud sizes and reaches."""
-        return [{"cloud_size": c, "farthest": f} for c in (1000, 2000, 5000, 10_000) for f in (0.03, 0.1)]
-
     def using(self, setting: dict[str, Any]) -> "Open3DICP":
         """The same peer with other constants."""
         return Open3DICP(**setting)

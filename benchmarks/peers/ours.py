@@ -60,12 +60,3 @@ class OursFirstPose:
             return found.Ts_camera_object[0] if len(found.weights) else None
 
         return solve
-
-
-def with_starts(problem: Problem, starts: int) -> Solve:
-    """Both phases in a batch of `starts` draws of the prior, on all cores, from the public door."""
-    method = hs.TwoPhase(starts=starts, reject_outliers=False)
-    model, contacts, vision, outside = problem.model, problem.contacts, problem.vision, problem.outside
-    return lambda: (
-        hs.correct_pose(model, contacts, vision=vision, outside=outside, method=method).T_palm_object
-    )

@@ -10,7 +10,7 @@ import numpy as np
 
 jit = numba.njit(fastmath=True, error_model="numpy", cache=True)
 
-DAMPING, RATE, STEP, TOLERANCE, DESCEND, MOST, PATIENCE, PRUNE, EPSILON, MIN_POINTS, WEIGHT = range(11)
+DAMPING, RATE, STEP, TOLERANCE, DESCEND, MOST, PATIENCE, EPSILON, MIN_POINTS, WEIGHT = range(10)
 """What is where in `options`; lengths in cm but EPSILON [m]. DESCEND: gradient descent, not LM."""
 
 
@@ -85,19 +85,6 @@ def least_cost(region, n, contact, weight, costs):
 
 
 @jit
-def close_enough(region, n, contact, weight, reach, work):
-    """The minimum, and how many points, copied into work[:6], cost no more than `reach` beyond it."""
-    best = least_cost(region, n, contact, weight, work[6])
-    k = 0
-    for j in range(n):
-        if work[6, j] <= best + reach:
-            for a in range(6):
-                work[a, k] = region[a, j]
-            k += 1
-    return best, k
-
-
-@jit
 def put(x, M, contact, moved):
     """Writes a contact (6,) moved by x, whose matrix is M, into `moved` (6,)."""
     for a in range(3):
@@ -107,12 +94,8 @@ def put(x, M, contact, moved):
 
 @jit
 def differences(x, h, matching, options, value, jacobian):
-    """Eq. 4: writes G(x) (n,) and its forward differences (n, 7). matching: contacts (n, 6), regions, counts.
-
-    Pruned: a step h moves a contact and turns its normal by a known bound, so only region points whose cost is
-    within twice what that can change can be the minimum after it. Exact, and no part of the paper.
-    """
-    contacts, regions, counts, work = matching
+    """Eq. 4: writes G(x) (n,) and its forward differences (n, 7). matching: contacts (n, 6), regions, counts."""
+    contacts, regions, counts, costs = matching
     weight = options[WEIGHT]
     Ms, stepped, moved = np.empty((8, 3, 3)), np.empty((8, 7)), np.empty(6)
     for i in range(8):
@@ -120,20 +103,13 @@ def differences(x, h, matching, options, value, jacobian):
         if i:
             stepped[i, i - 1] += h
         rotation(stepped[i], Ms[i])
-    spread = 2 * h * (np.sqrt((x[:4] ** 2).sum()) + h)  # |M(x + h e) - M(x)|, at most
     for c in range(len(contacts)):
         put(x, Ms[0], contacts[c], moved)
         source, count = regions[c], counts[c]
-        if options[PRUNE] > 0:
-            far = np.sqrt((contacts[c, :3] ** 2).sum())
-            reach = 2 * (max(spread * far, h) + weight * spread) + 1e-9
-            value[c], count = close_enough(source, count, moved, weight, reach, work)
-            source = work
-        else:
-            value[c] = least_cost(source, count, moved, weight, work[6])
+        value[c] = least_cost(source, count, moved, weight, costs)
         for i in range(7):
             put(stepped[i + 1], Ms[i + 1], contacts[c], moved)
-            jacobian[c, i] = (least_cost(source, count, moved, weight, work[6]) - value[c]) / h
+            jacobian[c, i] = (least_cost(source, count, moved, weight, costs) - value[c]) / h
 
 
 @jit
@@ -211,9 +187,9 @@ def correct(cloud, contacts_palm, T, center, options, space):
     """`T_palm_object` after Algorithm 1, steps taken, came to rest.
 
     cloud (6, m): object's frame. contacts_palm (n, 6). T: vision's pose. center (3,) the object's middle, its frame.
-    space: regions (n or more, 6, m) and (7, m) to work in.
+    space: regions (n or more, 6, m) and costs (m,) to work in.
     """
-    regions, work = space
+    regions, costs = space
     n = len(contacts_palm)
     frame, local = np.empty((4, 3)), np.empty(3)
     for a in range(3):
@@ -226,8 +202,8 @@ def correct(cloud, contacts_palm, T, center, options, space):
             local[a] = 0.0
             for b in range(3):
                 local[a] += T[b, a] * (contacts_palm[c, b] - T[b, 3])
-        counts[c] = gather(cloud, local, frame, options, regions[c], work[6])
-    x, steps, rested = minimise((contacts, regions, counts, work), options)
+        counts[c] = gather(cloud, local, frame, options, regions[c], costs)
+    x, steps, rested = minimise((contacts, regions, counts, costs), options)
     return answer(x, T, frame[3]), steps, rested
 
 

@@ -1,4 +1,4 @@
-"""The paper's method (IROS 2013, eq. 1-6) compiled with numba: as published, and with an exact pruning of ours."""
+"""The paper's method (IROS 2013, eq. 1-6) compiled with numba."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -9,10 +9,6 @@ import handsight as hs
 from benchmarks.peers import paper_kernels
 from benchmarks.workload import Problem, Solve
 
-CLOUDS = (1000, 2000, 5000, 10_000)
-EPSILONS = (0.01, 0.02, 0.04)
-STEPS = (1e-4, 1e-3, 1e-2)
-WEIGHTS = (0.03, 0.10, 0.30)
 MOST_CONTACTS = 12
 
 
@@ -21,22 +17,20 @@ class PaperCompiled:
     """Levenberg-Marquardt or gradient descent on regions of a cloud; vision is the start and nothing more."""
 
     method: hs.PaperMethod = field(default_factory=hs.PaperMethod)
-    prune: bool = False
-    """Look, for each forward difference, only at region points that can be its minimum: same answer, less work."""
     uses_normals = True
     uses_prior = False
 
     @property
     def name(self) -> str:
         """As tables call it."""
-        return f"paper {self.method.optimizer.upper()}, compiled{' + pruned' if self.prune else ''}"
+        return f"paper {self.method.optimizer.upper()}, compiled"
 
     def prepare(self, model: hs.ObjectModel) -> None:
         """The cloud, drawn as handsight's own PaperMethod draws it, and space for the regions."""
         points, normals = model.sample(self.method.cloud_size)
         self._cloud = np.ascontiguousarray(np.hstack([points, normals]).T)
         self._center = np.ascontiguousarray(model.center_object)
-        self._space = np.empty((MOST_CONTACTS, 6, len(points))), np.empty((7, len(points)))
+        self._space = np.empty((MOST_CONTACTS, 6, len(points))), np.empty(len(points))
 
     def ready(self, problem: Problem) -> Solve:
         """Regions and descent; the cloud stays."""
@@ -47,23 +41,13 @@ class PaperCompiled:
         """A call that answers pose, steps and whether it came to rest."""
         m = self.method
         options = np.array([m.damping, m.learning_rate, m.step, 100 * m.tolerance, m.optimizer == "gd",
-                            m.max_iterations, m.patience, self.prune, m.epsilon, m.min_points,
+                            m.max_iterations, m.patience, m.epsilon, m.min_points,
                             100 * m.w_n if m.normals else 0.0], dtype=np.float64)  # fmt: skip
         cloud, center, space = self._cloud, self._center, self._space
         contacts = np.hstack([problem.contacts.points_palm, problem.contacts.normals_palm])
         T = np.ascontiguousarray(problem.vision.T_palm_object)
         return lambda: paper_kernels.correct(cloud, contacts, T, center, options, space)
 
-    def settings(self) -> list[dict[str, float]]:
-        """The frontier's grid."""
-        return [
-            {"cloud_size": cloud, "epsilon": epsilon, "step": step, "w_n": weight}
-            for cloud in CLOUDS
-            for epsilon in EPSILONS
-            for step in STEPS
-            for weight in WEIGHTS
-        ]
-
     def using(self, setting: dict[str, float]) -> "PaperCompiled":
         """The same peer with other constants."""
-        return PaperCompiled(replace(self.method, **setting), self.prune)
+        return PaperCompiled(replace(self.method, **setting))

@@ -52,15 +52,6 @@ class SmallGICP:
 
         return solve
 
-    def settings(self) -> list[dict[str, Any]]:
-        """Cloud sizes, reaches and iterations."""
-        return [
-            {"cloud_size": c, "farthest": f, "iterations": i}
-            for c in (1000, 2000, 5000, 10_000)
-            for f in (0.03, 0.1)
-            for i in (10, 20, 50)
-        ]
-
     def using(self, setting: dict[str, Any]) -> "SmallGICP":
         """The same peer with other constants."""
         return SmallGICP(**setting)

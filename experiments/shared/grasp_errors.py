@@ -8,7 +8,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.evaluation import base_center
-from shared import scenes
+from testbed import scenes
 from testbed.report import Array, Row
 
 GRID = 0.001

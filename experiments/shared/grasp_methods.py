@@ -2,17 +2,15 @@
 
 import functools
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
 import handsight as hs
-from shared import report, scenes
-from shared.grasp_errors import open_sigma, pose_errors
-from shared.grasp_trials import Trial, exact_model
+from experiments.shared.grasp_errors import open_sigma, pose_errors
+from experiments.shared.grasp_trials import Trial, exact_model
+from testbed import report, scenes
 from testbed.report import Row, Rows
 
-SAMPLES = 4000
 WEIGHTS_CM = (1, 2, 5, 10)
 """The weight w_n of the paper's normals."""
 LEAST_FINGERS = 2
@@ -22,19 +20,14 @@ PAPER = {
     "paper-lm, no normals": hs.PaperMethod(normals=False),
     **{f"paper-lm, w_n {w} cm": hs.PaperMethod(w_n=w / 100) for w in WEIGHTS_CM},
 }
-ANSWERS: dict[str, dict[str, Any]] = {
-    "maximum": {"answer": "maximum"},
-    "best": {},
-    "samples": {"samples": SAMPLES},
-}
-"""The default answer is the mean where the maximum is at the end of a slide; sampling checks it."""
 OURS = {
-    f"{name}{', outside' * outside}{', table' * table}": (how, outside, table)
-    for name, how in ANSWERS.items()
+    f"{name}{', outside' * outside}{', table' * table}": (name, outside, table)
+    for name in ("maximum", "best")
     for outside in (False, True)
     for table in (False, True)
 }
-"""Answer of `correct_pose`, whether points of the hand are evidence, and whether the table is."""
+"""Pose of the answer (its maximum, or its own, the mean where the maximum is at the end of a slide), whether points of
+the hand are evidence, and whether the table is."""
 
 
 @functools.cache
@@ -45,7 +38,6 @@ def warm() -> None:
     contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
     prior = hs.PosePrior.from_sigmas(np.eye(4), 0.05, 0.1)
     for outside in (None, points):
-        hs.correct_pose(model, contacts, vision=prior, outside=outside, samples=100)
         hs.correct_pose(model, contacts, vision=prior, outside=outside)
     hs.correct_pose(model, contacts, vision=prior, method="paper-lm")
 
@@ -66,14 +58,14 @@ def corrected(trial: Trial, name: str) -> hs.PoseEstimate:
     """Returns the estimate of one method."""
     if name in PAPER:
         return hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
-    how, outside, table = OURS[name]
-    return hs.correct_pose(
+    pose, outside, table = OURS[name]
+    estimate = hs.correct_pose(
         trial.model,
         trial.contacts,
         vision=trial.standing if table else trial.vision,
         outside=trial.outside if outside else None,
-        **how,
     )
+    return scenes.at_maximum(estimate) if pose == "maximum" else estimate
 
 
 def _row(trial: Trial, name: str, estimate: hs.PoseEstimate | None, seconds: float) -> Row:

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
+from experiments.shared.grasp_errors import pose_errors
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.table import on_table
-from shared.grasp_errors import pose_errors
 from testbed.report import Array
 
 OBJECTS = ("can", "box")

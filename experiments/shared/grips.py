@@ -4,7 +4,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from shared import scenes
+from testbed import scenes
 from testbed.report import Array
 
 NOISE = (1.6e-3, float(np.deg2rad(4)))

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
+from experiments.shared.grasp_errors import pose_errors
+from experiments.shared.grasp_methods import LEAST_FINGERS, PAPER
+from experiments.shared.grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
 from handsight import se3
 from handsight.simulation import Sample, Scenario, simulate
 from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Step, Tally, replay
-from shared.grasp_errors import pose_errors
-from shared.grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
-from shared.grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
 from testbed.report import Row, Rows
 
 RATE = 50.0
@@ -28,22 +28,15 @@ PAPER_TRACKED = "paper-lm, w_n 5 cm"
 class Tracked:
     """The settings of one tracker."""
 
-    answer: str = "best"
     outside: bool = False
-    samples: int = 0
     table: bool = True
 
 
 TRACKED = {
-    "maximum": Tracked("maximum", table=False),
-    "maximum, table": Tracked("maximum"),
-    "maximum, outside, table": Tracked("maximum", outside=True),
     "best": Tracked(table=False),
     "best, table": Tracked(),
     "best, outside, table": Tracked(outside=True),
 }
-WITH_SAMPLES = TRACKED | {"samples, outside, table": Tracked(outside=True, samples=SAMPLES)}
-"""Sampling takes 20 s for a run."""
 
 
 @lru_cache(maxsize=2)  # figure 8 shows the first of those that section III's repetition judges
@@ -56,7 +49,7 @@ def tracked(name: str, samples: Sequence[Sample], how: Tracked) -> list[Step]:
     """Returns the tracker's estimates in a run."""
     robot = rig() if how.table else replace(rig(), table=None)
     outside = OUTSIDE if how.outside else 0
-    settings = TrackerSettings(answer=how.answer, outside=outside, samples=how.samples)
+    settings = TrackerSettings(outside=outside)
     tracker = hs.Tracker(robot, exact_model(name), settings=settings)
     return list(replay((sample.observation for sample in samples), tracker, Tally()))
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
+from experiments.shared.grasp_trials import exact_model, rig
 from handsight.objects import Symmetries
 from handsight.simulation import Nuisances, Scenario, simulate
-from shared.grasp_trials import exact_model, rig
 from testbed.report import Array, Row
 
 MASS, OFF, FULL_SCALE = 0.15, 0.02, 80.0

@@ -36,14 +36,12 @@ if _typing.TYPE_CHECKING:  # "as" marks a name as exported
         contacts_from_wrenches as contacts_from_wrenches,
     )
     from handsight.correction import (
-        DepthPoints as DepthPoints,
         Outside as Outside,
         PaperMethod as PaperMethod,
         Plane as Plane,
         PoseEstimate as PoseEstimate,
         PosePrior as PosePrior,
         SkinEvidence as SkinEvidence,
-        TwoPhase as TwoPhase,
         WeightEvidence as WeightEvidence,
         correct_pose as correct_pose,
         correct_poses as correct_poses,
@@ -61,7 +59,7 @@ _NAMES = {
     "camera": "Camera",
     "contact": "Contact Contacts Ellipsoid NoContact Sphere calibrate_wrench contact_from_wrench "
     "contacts_from_wrenches",
-    "correction": "DepthPoints Outside PaperMethod Plane PoseEstimate PosePrior SkinEvidence TwoPhase WeightEvidence "
+    "correction": "Outside PaperMethod Plane PoseEstimate PosePrior SkinEvidence WeightEvidence "
     "correct_pose correct_poses",
     "errors": "HandsightError InvalidInput",
     "objects": "ObjectModel",
@@ -88,8 +86,7 @@ def __getattr__(name: str) -> _typing.Any:
     elif name in _ROOM_OF:
         value = getattr(_importlib.import_module(f"handsight.{_ROOM_OF[name]}"), name)
     else:
-        old = {"PinholeCamera": "handsight.camera.Camera"}
-        return _importlib.import_module("handsight._deprecated").renamed(__name__, old, stacklevel=3)(name)
+        raise AttributeError(f"module 'handsight' has no attribute {name!r}")
     globals()[name] = value
     return value
 

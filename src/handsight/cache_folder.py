@@ -100,7 +100,8 @@ def _is_private_group(gid: int) -> bool:
     import pwd
 
     try:
-        group, name = grp.getgrgid(gid), pwd.getpwuid(os.getuid()).pw_name
+        group = grp.getgrgid(gid)
+        name = pwd.getpwuid(os.getuid()).pw_name
     except KeyError:
         return False
     return group.gr_name == name and set(group.gr_mem) <= {name}

@@ -17,7 +17,8 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 MAX_PIXELS = 50_000_000
-MIN_FOCAL, MAX_FOCAL = 0.01, 1e6
+MIN_FOCAL = 0.01
+MAX_FOCAL = 1e6
 """Smallest and largest focal length, and largest distance of the principal point from pixel (0, 0) [pixels]."""
 MAX_LENS = 1e4
 """Largest coefficient of a lens."""
@@ -25,7 +26,7 @@ Depth = NDArray[np.float32]
 
 
 class ImageSource(Protocol):
-    """An `ImageSource`, such as a rig's camera, may know the intrinsics of its images."""
+    """What may know the intrinsics of its images, such as a rig's camera."""
 
     @property
     def intrinsics(self) -> Array | None:
@@ -41,7 +42,7 @@ class ImageSource(Protocol):
 
 
 class DrawnTriangles(NamedTuple):
-    """`DrawnTriangles` are a depth image of triangles, with the label of the triangle in each pixel."""
+    """A depth image of triangles, with the label of the triangle in each pixel."""
 
     depth: Depth
     """(h, w) along the optical axis [m], infinite where there is none."""
@@ -51,7 +52,7 @@ class DrawnTriangles(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A `Camera` is a pinhole camera behind a lens, by its intrinsics.
+    """A pinhole camera behind a lens, by its intrinsics.
 
     Its optical frame has x right, y down and z forward; pixel centres are at whole numbers.
     """
@@ -79,7 +80,8 @@ class Camera:
         if not 0 < width * height <= MAX_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
         lens = check_lens(self.lens, "lens")
-        for name, value in (("matrix", K), ("size", (width, height)), ("lens", lens)):
+        checked = {"matrix": K, "size": (width, height), "lens": lens}
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -90,12 +92,37 @@ class Camera:
             raise InvalidInput(f"camera: expected one with intrinsics in the rig, got {came}")
         return cls(camera.intrinsics, camera.size, camera.lens)
 
+    def equals(self, other: Camera) -> bool:
+        """Returns whether the other is the same camera."""
+        same = np.array_equal(self.matrix, other.matrix) and np.array_equal(self.lens, other.lens)
+        return same and self.size == other.size
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """Returns the camera of the same images, scaled to another (width, height) [pixels] of the same proportions.
+
+        Raises InvalidInput for other proportions.
+        """
+        across, down = (new / old for new, old in zip(size, self.size, strict=True))
+        if abs(across * self.size[1] - down * self.size[1]) > 1.0:  # more than a pixel's rounding
+            came = f"{size[0]} x {size[1]}"
+            raise InvalidInput(
+                f"size: expected the proportions of {self.size[0]} x {self.size[1]}, got {came}"
+            )
+        scale = np.diag([across, down, 1.0])
+        matrix = scale @ self.matrix
+        # A pixel's centre is at a whole number, so an image begins half a pixel before 0.
+        matrix[:2, 2] += (scale.diagonal()[:2] - 1) / 2
+        return Camera(matrix, size, self.lens)
+
     @cached_property
     def _optics(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
         record = np.zeros(1, dtype=CAMERA)
-        row, rays = record[0], np.empty((self.size[1], self.size[0], 2), dtype=np.float32)
-        row["fx"], row["fy"] = self.matrix[0, 0], self.matrix[1, 1]
-        row["cx"], row["cy"] = self.matrix[0, 2], self.matrix[1, 2]
+        row = record[0]
+        rays = np.empty((self.size[1], self.size[0], 2), dtype=np.float32)
+        row["fx"] = self.matrix[0, 0]
+        row["fy"] = self.matrix[1, 1]
+        row["cx"] = self.matrix[0, 2]
+        row["cy"] = self.matrix[1, 2]
         row["lens"][: len(self.lens)] = self.lens
         steepest = pinhole.rays(record, rays)
         # A lens is used a tenth beyond the image: its polynomials may lead steeper rays back into the image.
@@ -116,7 +143,8 @@ class Camera:
     def check_size(self, image: ArrayLike, name: str) -> None:
         """Raises InvalidInput for an image or a mask (h, w) of another size than this camera's."""
         if np.shape(image) != self.size[::-1]:
-            expected, came = ("{} x {}".format(*self.size), " x ".join(map(str, np.shape(image)[::-1])))
+            expected = "{} x {}".format(*self.size)
+            came = " x ".join(map(str, np.shape(image)[::-1]))
             raise InvalidInput(f"{name}: expected {expected} pixels, got {came or 'a number'}")
 
     def check_depth(self, depth: ArrayLike, name: str = "depth") -> Depth:

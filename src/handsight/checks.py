@@ -78,15 +78,16 @@ def integer(value: object, name: str, most: int, least: int = 0) -> int:
 
 def position(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     """Returns `value` [m] as `finite` does, each number within `MAX_DISTANCE`; raises InvalidInput otherwise."""
-    return _within(finite(value, name, shape), name, MAX_DISTANCE, "metres")
+    return within(finite(value, name, shape), name, MAX_DISTANCE, "metres")
 
 
 def load(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     """Returns `value` [N, N m] as `finite` does, each number within `MAX_LOAD`; raises InvalidInput otherwise."""
-    return _within(finite(value, name, shape), name, MAX_LOAD, "newtons and newton metres")
+    return within(finite(value, name, shape), name, MAX_LOAD, "newtons and newton metres")
 
 
-def _within(array: Array, name: str, limit: float, unit: str) -> Array:
+def within(array: Array, name: str, limit: float, unit: str) -> Array:
+    """Returns the array if no entry's size is above the limit; raises InvalidInput otherwise. `unit`: its unit."""
     beyond = np.abs(array) > limit
     if beyond.any():
         raise InvalidInput(f"{name}: expected {unit} within {limit:g}, got {array[beyond][0]:g}")

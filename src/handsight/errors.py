@@ -25,6 +25,12 @@ class HandsightError(Exception):
         """The message is made `printable`, because parts of it come from files, topics and arguments."""
         super().__init__(printable(message))
 
+    @property
+    def field(self) -> str:
+        """The input that the message names: what stands before its first ": "; "" where it names none."""
+        name, colon, _ = str(self).partition(": ")
+        return name if colon else ""
+
 
 class InvalidInput(HandsightError, ValueError):
     """An argument has the wrong shape, unit or range, or is not finite."""
@@ -40,6 +46,16 @@ class InvalidObject(HandsightError, ValueError):
 
 class InvalidFile(HandsightError, ValueError):
     """A file cannot be read as what it should be; the message starts with the file's name."""
+
+    @property
+    def field(self) -> str:
+        """The field or line that the message names after the file; the file's name where it names neither.
+
+        A field has no blank, as `skin.palm.layout`; other words after the file's name are no field.
+        """
+        file = super().field
+        name, colon, _ = str(self).removeprefix(f"{file}: ").partition(": ")
+        return name if colon and re.match(r"line \d|\S+$", name) else file
 
 
 class NotWritten(InvalidFile):

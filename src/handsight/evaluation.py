@@ -14,7 +14,7 @@ from handsight.tracking.replay import Step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackErrors:
-    """`TrackErrors` are the errors of poses in the palm, one row for each pose."""
+    """Errors of poses in the palm, one row for each pose."""
 
     base: Array
     """(n,) error of the centre of the base in the table's plane, as the paper measures it [m]; in the palm's x and y
@@ -30,10 +30,10 @@ class TrackErrors:
     def summary(self) -> dict[str, float]:
         """Returns the means and the last values [mm, degrees], and the number of errors, which must be at least one."""
         return {
-            "base_mean": 1e3 * float(self.base.mean()),
-            "base_last": 1e3 * float(self.base[-1]),
-            "middle_mean": 1e3 * float(self.middle.mean()),
-            "middle_last": 1e3 * float(self.middle[-1]),
+            "base_mean": 1000 * float(self.base.mean()),
+            "base_last": 1000 * float(self.base[-1]),
+            "middle_mean": 1000 * float(self.middle.mean()),
+            "middle_last": 1000 * float(self.middle[-1]),
             "rotation_mean": float(np.rad2deg(self.rotation.mean())),
             "count": len(self),
         }
@@ -61,7 +61,7 @@ def base_center(model: ObjectModel, T_world_object: Array) -> Array:
 
 
 class Truths:
-    """`Truths` are the object's true poses in the palm, by their stamps."""
+    """The object's true poses in the palm, by their stamps."""
 
     def __init__(self, stamped: Iterable[tuple[float, Array]]) -> None:
         """`stamped`: (stamp [s], T_palm_object (4, 4)), in any order."""
@@ -92,7 +92,7 @@ def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, v
 
 @dataclass(frozen=True, slots=True)
 class CorrectionErrors:
-    """`CorrectionErrors` are the errors of one corrected pose against the truth, and against its contacts."""
+    """Errors of one corrected pose against the truth."""
 
     shift: float
     """Error of the object's origin [m]."""
@@ -100,24 +100,20 @@ class CorrectionErrors:
     """The part of `shift` along directions that the contacts make observable [m]."""
     turn: float
     """Angle between estimated and true rotation [rad]."""
-    gap: float
-    """Mean distance of the contacts to the object's surface [m]."""
 
 
 def correction_errors(
-    model: ObjectModel, T_palm_object: Array, T_true: Array, points_palm: Array, unobservable: Array
+    model: ObjectModel, T_palm_object: Array, T_true: Array, unobservable: Array
 ) -> CorrectionErrors:
-    """Returns the errors of a pose (4, 4) that was corrected by contacts at `points_palm` (k, 3) [m].
+    """Returns the errors of a pose (4, 4) against the true one (4, 4).
 
     `unobservable` (m, 6) are the unobservable directions, as `PoseEstimate` has them.
     """
     equivalent = nearest(model.symmetries, T_true, T_palm_object, model.radius)
-    delta = se3.difference(T_palm_object, equivalent) * np.array([1.0] * 3 + [model.radius] * 3)
+    delta = se3.difference(T_palm_object, equivalent) * np.repeat([1.0, model.radius], 3)
     observable = delta - unobservable.T @ (unobservable @ delta)
-    points_object = se3.apply(se3.inverse(T_palm_object), points_palm)
     return CorrectionErrors(
         shift=float(np.linalg.norm(delta[:3])),
         shift_observable=float(np.linalg.norm(observable[:3])),
         turn=float(np.linalg.norm(delta[3:]) / model.radius),
-        gap=float(np.abs(model.fine.evaluate(points_object).distance).mean()),
     )

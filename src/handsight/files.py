@@ -49,6 +49,15 @@ def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None)
             raise InvalidFile(f"{name or path}: cannot be read: {error.strerror or error}") from None
 
 
+def read_text(path: str | os.PathLike[str], most: int, expected: str = "text in UTF-8") -> str:
+    """Returns the text of a regular file of at most `most` bytes, without a byte order mark; raises InvalidFile, which
+    says what was `expected`."""
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InvalidFile(f"{path}: expected {expected}, got other bytes") from None
+
+
 @contextlib.contextmanager
 def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
     """Converts an OSError raised inside to a NotWritten that begins with the name; a BrokenPipeError stays as it is."""

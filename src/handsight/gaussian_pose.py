@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.representation import short_repr
 
 
-@renamed_members(T_palm_object="T_a_b")  # of what was a PosePrior before
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianPose:
-    """A `GaussianPose` is the pose of a frame b in a frame a, with its covariance.
+    """The pose of a frame b in a frame a, with its covariance.
 
     The names of variables say which two frames these are: `pose_mount_object` is the object's pose in the mount.
     """
@@ -43,21 +41,19 @@ class GaussianPose:
     def at_point(self, point_b: Array) -> "GaussianPose":
         """Returns the pose of a frame with b's axes whose origin is a point (3,) of b [m]."""
         arm = self.T_a_b[:3, :3] @ point_b
-        J, T = se3.point_jacobian(arm), se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm)
+        J = se3.point_jacobian(arm)
+        T = se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm)
         return GaussianPose(T, J @ self.covariance @ J.T)
 
     def inflated(self, variance: Array) -> "GaussianPose":
         """Returns the pose with process noise of `variance` (6,) added to its covariance [m², rad²]."""
         return GaussianPose(self.T_a_b, self.covariance + np.diag(variance))
 
-    def fused(self, measurement: "GaussianPose") -> "GaussianPose":
-        """Returns the posterior after an independent measurement of the same pose, linearised at this one.
 
-        At least one of the two covariances must be positive definite.
-        """
-        residual = se3.difference(measurement.T_a_b, self.T_a_b)
-        step, covariance = kalman_update(self.covariance, np.eye(6), residual, measurement.covariance)
-        return GaussianPose(se3.moved(self.T_a_b, step), covariance)
+def stretched(direction: Array, along: float, across: float) -> Array:
+    """Returns what to add to the covariance (3, 3) of a sigma `across` per axis, so that the sigma along a unit
+    direction (3,) is `along`."""
+    return np.asarray((along**2 - across**2) * np.outer(direction, direction))
 
 
 def kalman_update(

@@ -1,10 +1,11 @@
 """Messages about values that msgspec refuses: the field, what was expected, and what came.
 
 A *form* is a type to which msgspec converts a document, such as a `msgspec.Struct`. Its `__post_init__` may raise
-`ValueError("key: expected ..., got ...")`; the message is then about the field with that key.
+`ValueError("key: expected ..., got ...")`; the message is then about the field with that key. A refused value is walked
+again beside the form, so that no message depends on msgspec's sentences.
 """
 
-import re
+import operator
 import types
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -17,6 +18,18 @@ FieldPath = tuple[str | int, ...]
 """Keys of mappings and indices of lists that lead from a document to a value in it."""
 Form = TypeVar("Form")
 JsonObject = dict[str, Any]
+Fault = tuple[FieldPath, str]
+"""The path of a value that is not as its form allows, and a message about it."""
+WORDS = {
+    str: "a text",
+    float: "a finite number",
+    int: "a whole number",
+    bool: "true or false",
+    list: "a list",
+}
+BOUNDS = {"gt": (operator.gt, "above"), "ge": (operator.ge, "of at least")}
+BOUNDS |= {"lt": (operator.lt, "below"), "le": (operator.le, "of at most")}
+"""Limits of numbers, by msgspec's names."""
 
 
 def field_name(path: FieldPath) -> str:
@@ -27,23 +40,28 @@ def field_name(path: FieldPath) -> str:
 
 def decode(data: bytes, form: type[Form], where: str) -> Form:
     """Returns a JSON document converted to a form; raises an InvalidFile that begins with `where`."""
-    raw = _decode_json(data, where) if get_origin(form) is list else decode_object(data, where)
+    raw = decode_json(data, where) if get_origin(form) is list else decode_object(data, where)
+    return convert(raw, form, where)
+
+
+def convert(raw: object, form: type[Form], where: str) -> Form:
+    """Returns a document's values in a form; raises an InvalidFile that begins with `where` and names the field."""
     try:
         return msgspec.convert(raw, form)
-    except msgspec.ValidationError as error:
-        field, message = explain(error, form, raw)
+    except msgspec.ValidationError:
+        field, message = explain(form, raw)
         raise InvalidFile(f"{where}: {field_name(field) or 'file'}: {message}") from None
 
 
 def decode_object(data: bytes, where: str) -> JsonObject:
     """Returns a JSON document that is an object; raises an InvalidFile that begins with `where`."""
-    raw = _decode_json(data, where)
+    raw = decode_json(data, where)
     if not isinstance(raw, dict):
         raise InvalidFile(f"{where}: expected an object {{...}}, got {brief(raw)}")
     return raw
 
 
-def _decode_json(data: bytes, where: str) -> object:
+def decode_json(data: bytes, where: str) -> Any:
     """Returns a JSON document; raises an InvalidFile that begins with `where`."""
     try:
         return msgspec.json.decode(data)
@@ -51,85 +69,95 @@ def _decode_json(data: bytes, where: str) -> object:
         raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
 
 
-def explain(error: msgspec.ValidationError, form: object, value: object) -> tuple[FieldPath, str]:
-    """Returns the path of the field for which msgspec refused `value` as a `form`, and a message about that field."""
-    text, mark, where = str(error).rpartition(" - at `$")
+def explain(form: Any, value: Any) -> Fault:
+    """Returns the path of the field for which msgspec refuses `value` as a `form`, and a message about that field."""
+    kinds = alternatives(form)
+    for kind in kinds:
+        for step, part_form, part in _parts(kind, value):
+            if not _fits(part_form, part):
+                path, message = explain(part_form, part)
+                return (step, *path), message
+        if _is_struct(kind) and isinstance(value, dict):
+            return _fault_of_struct(kind, value)
+    names = [str(name) for kind in kinds if get_origin(kind) is Literal for name in get_args(kind)]
+    if isinstance(value, str) and names:
+        return (), f"expected {_words(form)}, got {value!r}{suggestion(value, names)}"
+    hint = " (a text)" if isinstance(value, str) and str not in kinds else ""
+    return (), f"expected {_bound_missed(form, value) or _words(form)}, got {brief(value)}{hint}"
+
+
+def _parts(kind: Any, value: Any) -> list[tuple[str | int, Any, Any]]:
+    """Returns the parts of a value as a kind of mapping or list: their keys or indices, forms and values."""
+    if _is_struct(kind) and isinstance(value, dict):
+        fields = _field_types(kind)
+        return [(key, fields[key], part) for key, part in value.items() if key in fields]
+    origin = get_origin(kind)
+    parts = get_args(kind)
+    if origin is dict and isinstance(value, dict):
+        return [(key, parts[1], part) for key, part in value.items()]
+    if origin is list and isinstance(value, list):
+        return [(i, parts[0], part) for i, part in enumerate(value)]
+    if origin is tuple and isinstance(value, list) and len(value) == len(parts):
+        return list(zip(range(len(value)), parts, value, strict=True))
+    return []
+
+
+def _fits(form: Any, value: object) -> bool:
+    """Returns whether msgspec converts a value to a form."""
     try:
-        return _field_and_message(text, where, form, value) if mark else _message(str(error), (), form, value)
-    except (LookupError, TypeError, ValueError):  # an unknown key that looks like msgspec's own text
-        return _message(str(error), (), form, value)
+        msgspec.convert(value, form)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
-def _field_and_message(text: str, where: str, form: object, value: object) -> tuple[FieldPath, str]:
-    """Follows msgspec's path `where`, such as `.contacts[2].point`, to the refused value; returns as `explain`."""
-    path: FieldPath = ()
-    for key in re.findall(r"\.{3}|[^.\[\]`]+", where):
-        if key == "...":  # an entry of a mapping with arbitrary keys; msgspec does not say which one
-            entry_form = _entry_form(form, key)
-            for name, entry in value.items():  # type: ignore[attr-defined]
-                try:
-                    msgspec.convert(entry, entry_form)
-                except msgspec.ValidationError as error:
-                    field, message = explain(error, entry_form, entry)
-                    return (*path, name, *field), message
-            raise ValueError("expected a mapping with an entry that is not of the form, got none")
-        step = int(key) if isinstance(value, list) else key
-        path, form, value = (*path, step), _entry_form(form, step), value[step]  # type: ignore[index]
-    return _message(text, path, form, value)
+def _fault_of_struct(kind: Any, value: JsonObject) -> Fault:
+    """Returns the fault of a mapping whose parts are right: an unknown key, a missing one, or what its form raises."""
+    fields = _field_types(kind)
+    unknown = [key for key in value if key not in fields]
+    if unknown and kind.__struct_config__.forbid_unknown_fields:
+        return (unknown[0],), f"unknown key{suggestion(unknown[0], fields)}"
+    for field in msgspec.structs.fields(kind):
+        if field.required and field.encode_name not in value:
+            return (field.encode_name,), f"expected {_words(field.type)}, got nothing"
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        key, colon, message = str(error.__cause__).partition(": ")
+        return ((key,), message) if colon and key.isidentifier() else ((), str(error.__cause__))
+    return (), f"expected {_words(kind)}, got {brief(value)}"
 
 
-def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[FieldPath, str]:
-    """Returns the path of the field that msgspec's `text` is about, and the text in words for a user."""
-    if found := re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL):
-        return (*path, found[1]), f"unknown key{suggestion(found[1], _field_types(form))}"
-    if found := re.fullmatch(r"Object missing required field `(.*)`", text):
-        return (*path, found[1]), f"expected {_type_text(_field_types(form).get(found[1]))}, got nothing"
-    if text.startswith("Invalid enum value"):
-        allowed = alternatives(form)
-        names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
-        others = "".join(f"{_kind_text('array', form)} or " for kind in allowed if get_origin(kind) is tuple)
-        expected = f"expected {others}one of {', '.join(names)}"
-        return path, f"{expected}, got {value!r}{suggestion(str(value), names)}"
-    if text == "Number out of range":
-        return path, f"expected a finite number, got {brief(value)}"
-    if found := re.match(r"Expected `([^`]+)`(?: (>=?|<=?) ([\d.]+))?", text):
-        kinds, bound, limit = found.groups()
-        expected = " or ".join(_kind_text(kind, form) for kind in kinds.split(" | ") if kind != "null")
-        if bound:
-            comparisons = {">": "above", ">=": "of at least", "<": "below", "<=": "of at most"}
-            expected = f"a number {comparisons[bound]} {float(limit):g}"
-        hint = " (a text)" if isinstance(value, str) and "str" not in kinds else ""
-        return path, f"expected {expected}, got {brief(value)}{hint}"
-    if found := re.match(r"(\w+): ", text):
-        return (*path, found[1]), text[found.end() :]
-    return path, text
+def _bound_missed(form: Any, value: object) -> str | None:
+    """Returns the bound of its form that a number is beyond, in words."""
+    if get_origin(form) in (Union, types.UnionType):
+        return next(filter(None, (_bound_missed(part, value) for part in get_args(form))), None)
+    if get_origin(form) is not Annotated or isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    inner, *metas = get_args(form)
+    for meta in metas:
+        for name, (holds, words) in BOUNDS.items():
+            limit = getattr(meta, name, None)
+            if limit is not None and not holds(value, limit):
+                return f"a number {words} {limit:g}"
+    return _bound_missed(inner, value)
 
 
-def _kind_text(kind: str, form: object) -> str:
-    """Returns a user's words for one of msgspec's kinds of values."""
-    sizes = [len(get_args(part)) for part in alternatives(form) if get_origin(part) is tuple]
-    texts = {
-        "object": "keys and values",
-        "array": f"{sizes[0]} finite numbers" if sizes else "a list",
-        "str": "a text",
-        "float": "a finite number",
-        "int": "a whole number",
-        "bool": "true or false",
-    }
-    return texts.get(kind, kind)
+def _words(form: Any) -> str:
+    """Returns a user's words for the values of a form."""
+    kinds = [kind for kind in alternatives(form) if kind is not types.NoneType]
+    if len(kinds) > 1:
+        return " or ".join(map(_words, kinds))
+    origin = get_origin(kinds[0]) or kinds[0]
+    parts = get_args(kinds[0])
+    if origin is Literal:
+        return f"one of {', '.join(map(str, parts))}"
+    if origin is tuple:
+        return f"{len(parts)} finite numbers"
+    return WORDS.get(origin, "keys and values")
 
 
-def _type_text(form: object) -> str:
-    """Returns a user's words for a type of values."""
-    first = alternatives(form)[0]
-    if get_origin(first) is Literal:
-        return " or ".join(map(str, get_args(first)))
-    origin = get_origin(first) or first
-    names = {str: "str", float: "float", int: "int", bool: "bool", tuple: "array", list: "array"}
-    return _kind_text(next((name for kind, name in names.items() if kind is origin), "object"), form)
-
-
-def alternatives(form: object) -> list[object]:
+def alternatives(form: Any) -> list[Any]:
     """Returns the types in a union, or the type itself, without annotations."""
     if get_origin(form) is Annotated:
         return alternatives(get_args(form)[0])
@@ -138,19 +166,10 @@ def alternatives(form: object) -> list[object]:
     return [form]
 
 
-def _field_types(form: object) -> dict[str, object]:
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _field_types(kind: Any) -> JsonObject:
     """Returns the types of a form's fields, by key in the document."""
-    for kind in alternatives(form):
-        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-            return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
-    return {}
-
-
-def _entry_form(form: object, step: str | int) -> object:
-    """Returns the type of a form's value under a key, at an index of a list, or in any entry of a mapping."""
-    for kind in alternatives(form):
-        if get_origin(kind) is tuple:
-            return get_args(kind)[int(step)]
-        if get_origin(kind) not in (None, Literal):
-            return get_args(kind)[-1]
-    return _field_types(form).get(str(step))
+    return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}

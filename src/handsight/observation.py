@@ -6,7 +6,7 @@ A measurement that was not taken is None, or has no entry in its mapping; no num
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -29,7 +29,7 @@ VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMeasurement:
-    """A `PoseMeasurement` is the object's pose as vision measured it."""
+    """The object's pose as vision measured it."""
 
     T_frame_object: Array
     """(4, 4) pose of the object in `frame`."""
@@ -45,7 +45,8 @@ class PoseMeasurement:
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_object", se3.check(self.T_frame_object, "vision.T_frame_object"))
         if not isinstance(self.frame, str) or self.frame not in VISION_FRAMES:
-            known, came = ", ".join(VISION_FRAMES), checks.brief(repr(self.frame))
+            known = ", ".join(VISION_FRAMES)
+            came = checks.brief(repr(self.frame))
             raise InvalidInput(f"vision.frame: expected one of {known}, got {came}")
         if self.covariance is not None:
             covariance = checks.covariance(self.covariance, "vision.covariance", (6, 6))
@@ -58,7 +59,7 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMeasurement:
-    """A `ContactMeasurement` is a contact from a fingertip that senses contacts directly, without a wrench."""
+    """A contact from a fingertip that senses contacts directly, without a wrench."""
 
     point: Array
     """(3,) position [m]."""
@@ -90,7 +91,7 @@ class ContactMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection2D:
-    """A `Detection2D` is where another detector has an object in an image; no pose belongs to it."""
+    """Where another detector has an object in an image; no pose belongs to it."""
 
     label: str = ""
     """The name of the object, or its number as text; empty: it may be any."""
@@ -116,7 +117,7 @@ class Detection2D:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """An `Observation` holds joints, wrenches, vision and the palm's pose at one instant, those that were measured.
+    """Joints, wrenches, vision and the palm's pose at one instant, those that were measured.
 
     Its arrays belong to the caller, who may change them. So they are checked when they are used: by `Tracker.update`,
     or by a writer of recordings.
@@ -159,9 +160,14 @@ def check_observation(observation: Observation) -> Observation:
     """
     if not isinstance(observation, Observation):
         raise InvalidInput(f"observation: expected an Observation, got {type(observation).__name__}")
-    stamp, vision, T = observation.stamp, observation.vision, observation.T_world_palm
-    if type(stamp) is not float or not -MAX_STAMP <= stamp <= MAX_STAMP:
-        stamp = _seconds(stamp, "observation.stamp")
+    stamp = observation.stamp
+    vision = observation.vision
+    T = observation.T_world_palm
+    stamp = _seconds(stamp, "observation.stamp")
+    for name in ("wrenches", "contacts", "skin"):
+        given = getattr(observation, name)
+        if not isinstance(given, Mapping):
+            raise InvalidInput(f"observation.{name}: expected a mapping by name, got {checks.brief(given)}")
     if vision is not None and not isinstance(vision, PoseMeasurement):
         came = type(vision).__name__
         raise InvalidInput(f"observation.vision: expected a PoseMeasurement or None, got {came}")
@@ -171,11 +177,7 @@ def check_observation(observation: Observation) -> Observation:
     image_stamp = observation.image_stamp
     if image_stamp is not None:
         image_stamp = _seconds(image_stamp, "observation.image_stamp")
-    # By position: `dataclasses.replace` takes several times as long.
-    joints_wrenches = observation.joint_positions, observation.wrenches
-    images, touch = (observation.color, observation.depth), (observation.contacts, observation.skin)
-    elsewhere = observation.detections, observation.mask
-    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch, *elsewhere)
+    return replace(observation, stamp=stamp, T_world_palm=T, image_stamp=image_stamp)
 
 
 def _seconds(stamp: float, name: str) -> float:

@@ -21,6 +21,7 @@ BOX = {
 KEYS = [
     "position",
     "quaternion_xyzw",
+    "maximum",
     "covariance",
     "information",
     "converged",

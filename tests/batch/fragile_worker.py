@@ -26,13 +26,7 @@ def obeyed(lines):
         if order == "print":
             print("something a library says", flush=True)
         said = {"line": line.decode().strip(), "pid": os.getpid()}
-        if order == "environment":
-            said["values"] = [os.environ.get(name) for name in rest.split()]
         if order == "blocked":
             said["ignores"] = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
         texts.append(json.dumps(said))
-    return Answers(texts, 0.0, [])
-
-
-def ends_at_once():
-    os._exit(7)
+    return Answers(texts, [])

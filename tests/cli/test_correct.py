@@ -39,13 +39,6 @@ def test_a_single_json_file_may_span_lines(asked, tmp_path):
     assert list(json.loads(out)) == KEYS
 
 
-def test_the_plot_is_written(asked, tmp_path):
-    (tmp_path / "one.json").write_text(json.dumps(BOX))
-    asked("correct", tmp_path / "one.json", "--output", tmp_path / "a.jsonl", "--plot", tmp_path / "a.png")
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "a.png").stat().st_size > 20_000
-
-
 def test_a_missing_file_and_an_overwritten_one_are_sentences(asked, tmp_path):
     _, said = asked("correct", tmp_path / "none.jsonl", expect=2)
     assert "none.jsonl: No such file" in said
@@ -55,45 +48,22 @@ def test_a_missing_file_and_an_overwritten_one_are_sentences(asked, tmp_path):
     assert json.loads((tmp_path / "p.jsonl").read_text()) == BOX
 
 
-def test_bytes_that_are_no_text_are_answered_in_place():
-    out, _ = run("correct", "-", stdin=b"\xff\xfe\x00\n" + json.dumps(BOX).encode() + b"\n", expect=1)
-    first, second = map(json.loads, out.splitlines())
-    assert "UTF-8" in first["error"]
-    assert second["converged"]
-
-
 def timeless(text):
     """Answers without how long they took."""
     return re.sub(r'"seconds": [^,]+', "", text)
 
 
-def test_more_workers_answer_the_same(asked, tmp_path):
+def test_more_workers_answer_the_same(tmp_path):
     lines = [json.dumps(changed("contacts[0].point", [0.03, 0.001 * i, 0.03])) for i in range(30)]
     lines[7], lines[20] = "{not json", json.dumps(changed("contacts[0].point", [0, 0]))
     (tmp_path / "p.jsonl").write_text("\n".join(lines))  # the last line has no end
-    alone, _ = asked("correct", tmp_path / "p.jsonl", expect=1)
+    # In a process of its own: the one that compiles a kernel may round otherwise than those that load it.
+    alone, _ = run("correct", tmp_path / "p.jsonl", expect=1)
     _, said = run("correct", tmp_path / "p.jsonl", "--output", tmp_path / "a.jsonl", "--workers", 2, expect=1)
     assert timeless((tmp_path / "a.jsonl").read_text()) == timeless(alone)
     assert "30 answers, 2 of them errors" in said
     out, _ = run("correct", "-", "--workers", 0, stdin="\n".join(lines), expect=1)
     assert timeless(out) == timeless(alone)
-
-
-def test_workers_find_meshes_draw_and_warn_once(tmp_path):
-    import trimesh
-
-    folder = tmp_path / "problems"
-    folder.mkdir()
-    trimesh.creation.box((60, 90, 140)).export(folder / "huge.stl")  # millimetres, and no scale
-    line = json.dumps({**BOX, "object": {"mesh": "huge.stl"}})
-    missing = json.dumps({**BOX, "object": {"mesh": "none.stl"}})
-    (folder / "all.jsonl").write_text(f"{line}\n{missing}\n{line}\n{line}\n")
-    out, said = run(
-        "correct", "problems/all.jsonl", "--plot", "a.png", "--workers", 2, cwd=tmp_path, expect=1
-    )
-    assert ["error" in json.loads(a) for a in out.splitlines()] == [False, True, False, False]
-    assert said.count("scale") == 1, said
-    assert (tmp_path / "a.png").stat().st_size > 20_000
 
 
 def workers_of(command):
@@ -175,3 +145,10 @@ def test_a_worker_that_is_killed_costs_no_line(tmp_path):
 def test_workers_and_cluster_exclude_each_other(asked):
     _, said = asked("correct", "-", "--workers", 2, "--cluster", "tcp://127.0.0.1:1", expect=2)
     assert "--workers: expected without --cluster" in said
+
+
+def test_the_plot_is_written(asked, tmp_path):
+    (tmp_path / "one.json").write_text(json.dumps(BOX))
+    asked("correct", tmp_path / "one.json", "--output", tmp_path / "a.jsonl", "--plot", tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "a.png").stat().st_size > 20_000

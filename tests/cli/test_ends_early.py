@@ -8,10 +8,7 @@ import pytest
 
 from cli.commands import called
 from cli.tracks import assert_results_agree, observations, recorded
-from handsight import se3
-from handsight.messages import RosType
-from handsight.messages.encode import Message, header, pose, pose_with_covariance
-from handsight.recording import Recording, RecordingWriter
+from handsight.recording import Recording
 from handsight.rig.save import write as write_rig
 from handsight.tracking import Tracker
 
@@ -87,10 +84,7 @@ def test_without_a_pose_the_exit_code_is_1_and_the_reason_is_printed(grasp, fold
     seen = observations(grasp)
     for changes, said in (
         ({"vision": None}, "no pose: no pose yet: neither a start nor vision"),
-        (
-            {"T_world_palm": None},
-            "poses of vision could not be placed, as the palm's pose in the world was not known",
-        ),
+        ({"T_world_palm": None}, "poses of vision came while the palm's pose in the world was not known"),
         ({"joint_positions": {"elbow": 0.0}}, "no pose: all observations were left out"),
     ):
         recorded(folder / "none.mcap", (dataclasses.replace(each, **changes) for each in seen), rig)
@@ -125,26 +119,3 @@ def test_a_finger_that_the_others_contradict_is_reported(grasp, folder, monkeypa
     rejected = json.loads((folder / "can-track" / "summary.json").read_text())["fingers_rejected"]
     assert rejected[first] > 0.9
     assert all(part < 0.1 for finger, part in rejected.items() if finger != first)
-
-
-def test_huge_numbers_of_vision_and_tf_are_left_out_and_the_rest_is_tracked(
-    grasp, folder, monkeypatch, capsys
-):
-    rig, _ = grasp
-    with RecordingWriter(folder / "can.mcap", rig) as writer:
-        for k, seen in enumerate(observations(grasp)):
-            writer.write(seen)
-            T = seen.T_world_palm.copy()
-            T[:3, 3] = 1e200
-            palm, top = pose(T), header(seen.stamp + 1e-3, rig.frames["world"])
-            body = Message(translation=palm.position, rotation=palm.orientation)
-            link = Message(header=top, child_frame_id=rig.frames["palm"], transform=body)
-            if k % 5 == 4:
-                writer.append(rig.topics.tf, RosType.TF, seen.stamp - 1e-3, transforms=[link])
-            far = pose_with_covariance(se3.compose(np.eye(3), np.full(3, 1e20)), None)
-            top = header(seen.stamp, rig.frames["camera"])
-            writer.append(rig.topics.vision, RosType.POSE_COVARIANCE, seen.stamp, header=top, pose=far)
-    assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
-    assert_results_agree(folder / "can-track")
-    assert "Traceback" not in capsys.readouterr().err
-    assert called(monkeypatch, folder, "calibrate", "camera", "can.mcap", "--object", "can") == 0

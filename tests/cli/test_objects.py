@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from cli.commands import corrected, run
@@ -9,7 +10,8 @@ from handsight.cli.options import Run
 from handsight.errors import InvalidInput
 from handsight.objects import Facts, Library
 from objects.libraries import block, bop, off_text, served
-from objects.object_shapes import prism
+from objects.object_shapes import box_mesh, divided, prism
+from testbed.refusals import refused
 
 ADDED = ("--mass", "0.25", "--center-of-mass", "-0.01", "0", "0.02", "--sigma-center-of-mass", "0.005")
 SAID = ("--licence", "CC BY 4.0", "--source", "a drawing \x1b[2J")
@@ -88,26 +90,6 @@ def test_a_library_is_fetched_and_used_without_the_network(library, asked, monke
         assert said.startswith("fetched 1 objects")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("add", "block.off", "--name", "block"), "name: expected a new one, got 'block', which is that of object 1"),
-        (("add", "block.off", "--name", "../b"), "name: expected up to 100 letters"),
-        (("add", "none.off", "--name", "b"), "none.off: cannot be read: No such file"),
-        (("add", "block.off", "--name", "b", "--symmetry", "z/7"), "--symmetry: expected turns that leave the surface in place"),
-        (("add", "block.off", "--name", "b", "--library", "https://x"), "https://x: expected a folder to add to"),
-        (("show", "blok"), "got 'blok'; the nearest valid one is 'block'"),
-        (("list", "--library", "nowhere"), "nowhere: expected a library, with models/models_info.json, got none"),
-        (("fetch", "library"), "library: expected a URL"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_done_is_one_sentence(library, asked, arguments, said):
-    _, wrong = asked("objects", *arguments, expect=2)
-    assert wrong.startswith("handsight: ")
-    assert said in wrong
-    assert len(wrong.splitlines()) == 1
-
-
 def test_a_full_disk_ends_an_add_with_its_own_code(library, asked, monkeypatch):
     import errno
     import os
@@ -158,17 +140,6 @@ def test_problems_name_their_object(tmp_path, monkeypatch):
     assert answer["error"].startswith(f"object.name: {tmp_path}/nowhere: expected a library")
 
 
-def test_workers_have_the_same_library(tmp_path, monkeypatch):
-    Library(tmp_path / "library").add(block(tmp_path), Facts(name="block"))
-    monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "library"))
-    problem = {"object": {"name": "block"}, "contacts": [{"point": [0.03, 0.01, 0.02]}]}
-    (tmp_path / "p.jsonl").write_text(json.dumps(problem | {"vision": {
-        "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1], "sigma_position": 0.01, "sigma_rotation_deg": 5}}) + "\n")  # fmt: skip
-    out, _ = run("correct", "p.jsonl", "--workers", "1", cwd=tmp_path)
-    again, _ = run("correct", "p.jsonl", "--workers", "2", cwd=tmp_path)
-    assert json.loads(out)["position"] == json.loads(again)["position"]
-
-
 def test_a_recordings_object_may_be_one_of_the_library(tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
     from handsight.rig.save import write
@@ -178,30 +149,15 @@ def test_a_recordings_object_may_be_one_of_the_library(tmp_path, monkeypatch):
     write(rig, tmp_path / "rig.yaml")
     library = Library(tmp_path / "library")
     monkeypatch.setenv("HANDSIGHT_LIBRARY", library.place)
-    with pytest.raises(
-        InvalidInput, match=r"--object: expected a name of .*rig\.yaml or a mesh file, got 'mustard'"
-    ):
+    with refused(InvalidInput, "--object"):
         Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustard")
     library.add(block(tmp_path), Facts(name="mustard"))
     for name in ("mustard", "bottle"):  # the rig's bottle is the library's mustard
         model = Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", name).model
         assert model.name == name
         assert model.diameter == library.entry("mustard").diameter
-    with pytest.raises(InvalidInput, match="got 'mustrd'; the nearest valid one is 'mustard'"):
+    with refused(InvalidInput, "--object"):
         Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustrd")
-
-
-@pytest.mark.parametrize(
-    "environment",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
-)
-def test_a_terminal_of_ascii_gets_every_name(tmp_path, monkeypatch, environment):
-    Library(tmp_path / "lab").add(block(tmp_path), Facts(name="Dose µ", licence="©"))
-    for key, value in environment.items():
-        monkeypatch.setenv(key, value)
-    for command in (("list",), ("show", "1"), ("verify",)):
-        out, _ = run("objects", *command, "--library", tmp_path / "lab")
-        assert "verify" in command or "Dose" in out
 
 
 def test_warnings_that_are_errors_end_a_command_in_a_sentence(tmp_path, monkeypatch):
@@ -218,3 +174,35 @@ def test_a_mesh_in_millimetres_is_added_only_by_force(tmp_path):
     _, said = run("objects", "add", mesh, *there, expect=2)
     assert "expected an object for a hand, got one of largest extent 140 m: looks like millimetres" in said
     run("objects", "add", mesh, *there, "--force")
+
+
+def test_a_scale_is_measured_and_its_sigma_kept(tmp_path, monkeypatch, asked):
+    """Touches of a ball, in a frame of their own: a contact a line."""
+    vertices, faces = box_mesh((0.5, 0.5, 0.5))
+    vertices, faces = divided(vertices, faces, 3)
+    vertices /= np.linalg.norm(vertices, axis=1)[:, None]
+    (tmp_path / "ball.off").write_text(off_text(vertices, faces))
+    ways = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -0.6, 0.8], [0.6, 0, -0.8]])
+    lines = [{"point": list(0.04 * way + [0.1, 0, 0.2]), "normal": list(way)} for way in ways]
+    (tmp_path / "touches.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "library"))
+    _, said = asked("objects", "add", "ball.off", "--name", "ball", "--scale-from", "touches.jsonl")
+    assert "1 unit of ball.off is 0.0" in said
+    (entry,) = Library(tmp_path / "library").entries()
+    assert abs(entry.diameter - 0.08) < 3 * entry.facts.sigma_scale * 0.08
+    _, said = asked("objects", "add", "ball.off", "--name", "b", "--scale-from", "depth.png", expect=2)
+    assert "--mask" in said
+
+
+def test_a_shape_in_map_coordinates_is_recentred_and_the_way_back_is_kept(tmp_path, monkeypatch, asked):
+    vertices, faces = box_mesh()
+    place = np.array([412_000.25, 5_648_000.5, 41.0])
+    (tmp_path / "far.off").write_text(off_text(vertices + place, faces))
+    monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "library"))
+    asked("objects", "add", "far.off", "--name", "far", expect=2)
+    _, said = asked("objects", "add", "far.off", "--name", "far", "--recentre")
+    assert "5648000.5000" in said
+    (entry,) = Library(tmp_path / "library").entries()
+    np.testing.assert_allclose(entry.facts.origin_file, place, atol=1e-3)
+    near, _ = Library(tmp_path / "library").model("far").bounds_object
+    np.testing.assert_allclose(near, vertices.min(axis=0), atol=1e-3)

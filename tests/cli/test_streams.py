@@ -111,14 +111,6 @@ def test_a_recording_that_cannot_grow_is_an_error_in_a_sentence(folder):
     assert err.splitlines()[-1] == "handsight: can.mcap: cannot be written: File too large"
 
 
-def test_no_file_gets_the_number_of_a_stream_that_was_closed(folder):
-    # Were it so, what a library prints would be among the answers.
-    code, err = shell("handsight correct p.jsonl -o a.jsonl <&- >&- 2>&-", folder)
-    assert (code, err) == (0, "")
-    answers = (folder / "a.jsonl").read_text().splitlines()
-    assert [list(json.loads(answer)) for answer in answers] == [KEYS] * 20
-
-
 def test_a_closed_stderr_changes_no_exit_code(folder):
     assert shell("handsight correct none.jsonl 2>&-", folder)[0] == 2
     if Path("/dev/full").exists():
@@ -158,27 +150,6 @@ def test_nor_is_what_comes_by_stdin_or_goes_to_stdout(folder):
         assert code == 2
         assert "would overwrite" in err
     assert ((folder / "p.jsonl").read_bytes(), (folder / "w.csv").read_bytes()) == before
-
-
-def test_answers_and_picture_are_two_files(folder, asked):
-    place = folder / "a.png"
-    _, said = asked("correct", folder / "p.jsonl", "-o", place, "--plot", folder / "." / "a.png", expect=2)
-    assert "a.png: the picture would overwrite the answers" in said
-    assert not place.exists()
-
-
-def test_a_file_of_the_users_is_not_taken_for_a_half_written_one(folder, asked):
-    (folder / "c.csv.part").write_text(WRENCHES)
-    asked("contact", folder / "c.csv.part", "-o", folder / "c.csv", *TIP)
-    assert (folder / "c.csv.part").read_text() == WRENCHES
-    assert len((folder / "c.csv").read_text().splitlines()) == 501
-
-
-def test_a_link_to_contacts_stays_one(folder, asked):
-    (folder / "link.csv").symlink_to("c.csv")
-    asked("contact", folder / "w.csv", "-o", folder / "link.csv", *TIP)
-    assert (folder / "link.csv").is_symlink()
-    assert len((folder / "c.csv").read_text().splitlines()) == 501
 
 
 def test_a_pipe_is_a_place_for_problems(folder):

@@ -60,7 +60,6 @@ def test_without_viser_one_sentence_says_what_to_install(folder, monkeypatch, ca
     [
         (("away.mcap",), "--rig: expected a rig file, got nothing, and there is neither away.rig.yaml nor rig.yaml beside away.mcap"),
         (("can.mcap", "--object", "cna"), "--object: expected a name of can.rig.yaml or a mesh file, got 'cna'; the nearest valid one is 'can'"),
-        (("can.mcap", "--answer", "bets"), "--answer: expected one of best, maximum, mean, got 'bets'"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_sentence(folder, monkeypatch, capsys, arguments, said):

@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.recording import RecordingWriter, open_recording
+from handsight.recording.track_log import TrackLog
 
 
 def recorded(path, observations, rig, truths=()):
@@ -30,10 +31,9 @@ def track(path, rig, folder=None, **settings):
     """The run through a recording, and what is said of writing it."""
     model = rig.objects["can"].model()
     run = Run(path, rig, model, TrackerSettings(**settings))
-    ended, log = tracked(run, lambda *_: None, folder or path.parent / "tracked")
-    written = [] if folder is None else list(write(ended, run, folder, log))
-    log.close(resumable=False)
-    return ended, written
+    with TrackLog() as log:
+        ended = tracked(run, lambda *_: None, log, folder)
+        return ended, [] if folder is None else list(write(ended, run, folder, log))
 
 
 def poses_of(folder):

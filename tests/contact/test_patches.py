@@ -1,16 +1,15 @@
 """Patches of taxels on curved tips are contacts: where, with which normal and force, and how certain. Synthetic tips."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-import tip_scenes
 from handsight import se3
 from handsight.contact import TactileSurface
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
-from tip_scenes import HELD_OUT, SHAPES, errors, pressed, tip
+from testbed import skin_scenes
+from testbed.refusals import refused
+from testbed.skin_scenes import HELD_OUT, SHAPES, errors, pressed, tip
 
 BALL = SHAPES["ball"]
 
@@ -38,14 +37,8 @@ def test_a_three_axis_tip_senses_point_normal_and_force_as_well_as_it_says():
     assert np.median(point) < 0.8
     assert np.median(normal) < 6
     assert np.median(force) < 0.08
-    assert 0.7 < squared.mean() < 1.3
-
-
-def test_a_tip_of_one_component_senses_the_point_too():
-    point, normal, force, _ = judged(1)
-    assert np.median(point) < 1.2
-    assert np.median(normal) < 6
-    assert np.isnan(force).all()
+    # Nothing says how soft the tip is, so the contact's height is less certain than where it touches first.
+    assert 0.5 < squared.mean() < 1.3
 
 
 def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_it_says():
@@ -115,17 +108,6 @@ def test_the_centre_of_an_even_patch_is_on_the_surface_with_the_surfaces_normal(
         np.testing.assert_allclose(patch["normal"], -patch["point"] / 0.013, atol=0.03)
 
 
-def test_a_scaled_reading_gives_scaled_forces_and_the_same_place():
-    rng = np.random.default_rng(2)
-    surface = tip(BALL, rng)
-    truth = pressed(BALL, surface, rng, dead=0)
-    counts = replace(surface, scale=[0.01, 0.01, -0.01], offset=[0, 0, 2135.0])
-    raw = truth.readings * [100, 100, -100] + [0, 0, 2135.0]
-    one, other = strongest(surface.touch(truth.readings)), strongest(counts.touch(raw))
-    for name in ("point", "normal", "force", "covariance"):
-        np.testing.assert_allclose(other[name], one[name], atol=1e-9)
-
-
 def test_two_patches_on_a_tip_are_two_contacts_of_full_covariance():
     rng = np.random.default_rng(3)
     surface = tip(BALL, rng, taxels=60)
@@ -149,17 +131,6 @@ def test_two_patches_on_a_tip_are_two_contacts_of_full_covariance():
         np.testing.assert_allclose(added, np.outer(turned, turned), atol=1e-12)
     kept = touch.contacts(T, without=touch.strongest)
     assert len(kept) == 1
-
-
-def test_a_wide_patch_says_less_of_its_normal():
-    surface = tip(BALL, np.random.default_rng(4))
-    sigmas = []
-    for width in (0.006, 0.012):
-        readings = np.zeros(surface.shape)
-        distance = np.linalg.norm(surface.points - surface.points[0], axis=1)
-        readings[:, 2] = np.maximum(1 - (distance / width) ** 2, 0)
-        sigmas.append(np.trace(strongest(surface.touch(readings))["covariance"][3:, 3:]))
-    assert sigmas[1] > 1.5 * sigmas[0]
 
 
 def test_untouched_taxels_of_a_tip_are_evidence_beside_the_patch_only():
@@ -198,28 +169,22 @@ FIELDS = {
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "field"),
     [
-        ({"points": np.eye(3)}, r"points: expected metres, within 0.5 m, got 1 \(millimetres\?\)"),
-        ({"pitch": 4.7}, "pitch: expected metres from 0.0002 to 0.05, got 4.7"),
-        ({"normals": np.eye(3)[:2]}, r"normals: expected finite numbers of shape \(3, 3\)"),
-        ({"normals": -np.eye(3)}, "normals: expected normals that point out of the link, got normals that point into"),
-        ({"points": np.zeros((3, 3))}, r"points\[0\]: expected a place of its own"),
-        ({"components": 2}, "components: expected 1 or 3, got 2"),
-        ({"scale": [1.0, 1.0]}, "scale: expected 1 finite numbers"),
-        ({"scale": 0.0}, "scale, noise: expected no 0"),
-        ({"x_axes": np.eye(3)}, r"x_axes\[0\]: expected a direction across the normal"),
+        ({"points": np.eye(3)}, 'points'),
+        ({"pitch": 4.7}, 'pitch'),
+        ({"normals": np.eye(3)[:2]}, 'normals'),
+        ({"normals": -np.eye(3)}, 'normals'),
+        ({"points": np.zeros((3, 3))}, 'points[0]'),
+        ({"components": 2}, 'components'),
+        ({"scale": [1.0, 1.0]}, 'scale'),
+        ({"scale": 0.0}, "scale, noise"),
+        ({"x_axes": np.eye(3)}, 'x_axes[0]'),
     ],
 )  # fmt: skip
-def test_a_wrong_surface_is_refused(given, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_a_wrong_surface_is_refused(given, field):
+    with refused(InvalidInput, field):
         TactileSurface(**FIELDS | given)
-
-
-@pytest.mark.parametrize("reading", [np.zeros(30), np.zeros((30, 2)), np.zeros((29, 3)), "much"])
-def test_a_reading_of_another_number_of_taxels_is_refused(reading):
-    with pytest.raises(InvalidInput, match="reading: expected 30 times 3 numbers, got"):
-        tip(BALL, np.random.default_rng(0)).touch(reading)
 
 
 def test_the_simulated_press_has_its_force_and_its_centre():
@@ -228,4 +193,22 @@ def test_the_simulated_press_has_its_force_and_its_centre():
     truth = pressed(BALL, surface, rng, force=2.0, round_by=0.0, dead=0, place=surface.points[0])
     assert truth.force @ truth.normal == pytest.approx(2.0, rel=0.03)
     assert np.linalg.norm(np.cross(truth.center - truth.point, truth.normal)) < 6e-4
-    assert np.linalg.norm(np.cross(truth.force, truth.normal)) / 2.0 < tip_scenes.FRICTION * 1.2
+    assert np.linalg.norm(np.cross(truth.force, truth.normal)) / 2.0 < skin_scenes.FRICTION * 1.2
+
+
+@pytest.mark.parametrize("declared", [None, 0.5, 1.0, 2.0])
+def test_a_contact_of_soft_skin_is_where_the_object_has_sunk_to(declared):
+    """By a stiffness that is right, wrong by a factor of two, or unknown, the true surface is within its sigma."""
+    springs, heights, squares = 6e7, [], []
+    stiffness = None if declared is None else declared * springs
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        shape = skin_scenes.SHAPES["egg"]
+        surface = skin_scenes.tip(shape, rng, stiffness=stiffness)
+        truth = skin_scenes.pressed(shape, surface, rng, springs=springs, force=2.0)
+        touch = surface.touch(truth.readings)
+        height, squared = skin_scenes.height_error(strongest(touch), truth)
+        heights.append(abs(height))
+        squares.append(squared)
+    assert np.median(heights) < {None: 1.5, 0.5: 0.6, 1.0: 0.25, 2.0: 0.6}[declared]
+    assert np.mean(squares) < (5 if declared == 2.0 else 2)

@@ -1,11 +1,10 @@
-import re
-
 import numpy as np
 import pytest
 
 from handsight import se3
 from handsight.contact import Sphere, calibrate_wrench, compensate, contact_from_wrench
 from handsight.errors import InvalidInput
+from testbed.refusals import refused
 
 BIAS_FORCE, BIAS_TORQUE = np.array([0.3, -0.2, 1.1]), np.array([0.01, -0.02, 0.005])
 MASS, COM = 0.025, np.array([0.001, -0.002, 0.018])
@@ -15,10 +14,7 @@ SIX = 9.81 * np.concatenate([np.eye(3), -np.eye(3)])
 def read(gravities, sign=1.0, force=0.0, torque=0.0):
     """Of a sensor that carries the tip, with `force` and `torque` of the object on the tip."""
     weight = MASS * np.asarray(gravities)
-    return (
-        BIAS_FORCE + sign * (weight + force),
-        BIAS_TORQUE + sign * (np.cross(COM, weight) + torque),
-    )
+    return (BIAS_FORCE + sign * (weight + force), BIAS_TORQUE + sign * (np.cross(COM, weight) + torque))
 
 
 @pytest.mark.parametrize(("reading", "sign"), [("on_sensor", 1.0), ("on_tip", -1.0)])
@@ -31,12 +27,6 @@ def test_the_truth_is_recovered(reading, sign):
     assert found.mass == pytest.approx(MASS, abs=1e-13)
     np.testing.assert_allclose(found.center_of_mass, COM, atol=1e-12)
     np.testing.assert_allclose([found.residual_force, found.residual_torque], 0, atol=1e-13)
-
-
-def test_three_orientations_are_enough():
-    gravities = SIX[:3]
-    found = calibrate_wrench(*read(gravities), gravities)
-    np.testing.assert_allclose(found.center_of_mass, COM, atol=1e-12)
 
 
 def test_the_residual_is_the_noise():
@@ -96,9 +86,7 @@ def cone(degrees, n=8):
     ids=["one", "opposite", "two", "narrow"],
 )
 def test_orientations_too_alike_are_refused_with_their_spread(gravities):
-    with pytest.raises(
-        InvalidInput, match=r"got \d with a spread of [\d.e-]+ degrees about the second \(condit"
-    ):
+    with refused(InvalidInput, "gravities"):
         calibrate_wrench(*read(gravities), gravities)
 
 
@@ -113,40 +101,30 @@ def test_a_cone_of_ten_degrees_is_wide_enough_and_its_conditioning_says_so():
     ("reading", "sign", "side"), [("on_sensor", -1.0, "along"), ("on_tip", 1.0, "against")]
 )
 def test_the_wrong_sign_of_reading_is_named(reading, sign, side):
-    with pytest.raises(
-        InvalidInput, match=f"mass above 0, got -0.025 kg; for reading='{reading}' .* {side} gravity"
-    ):
+    with refused(InvalidInput, "forces"):
         calibrate_wrench(*read(SIX, sign), SIX, reading=reading)
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "field"),
     [
-        ({"forces": np.full((6, 3), np.nan)}, "forces: expected finite numbers of shape (n, 3)"),
-        ({"torques": np.zeros((6, 2))}, "torques: expected finite numbers of shape (n, 3), got shape (6, 2)"),
-        ({"torques": np.zeros((5, 3))}, "forces, torques, gravities: expected one length, got [6, 5, 6]"),
-        (
-            {"gravities": SIX / 9.81},
-            "gravities[0]: expected a length of 1.5 to 30 m/s², got 1 (a unit vector?)",
-        ),
-        ({"gravities": 0 * SIX}, "gravities[0]: expected a length of 1.5 to 30 m/s², got 0"),
-        ({"reading": "up"}, "reading: expected one of on_sensor, on_tip, got 'up'"),
+        ({"forces": np.full((6, 3), np.nan)}, "forces"),
+        ({"torques": np.zeros((6, 2))}, "torques"),
+        ({"torques": np.zeros((5, 3))}, "forces, torques, gravities"),
+        ({"gravities": SIX / 9.81}, "gravities[0]"),
+        ({"gravities": 0 * SIX}, "gravities[0]"),
+        ({"reading": "up"}, "reading"),
     ],
 )
-def test_wrong_readings_are_refused_by_name(change, message):
+def test_wrong_readings_are_refused_by_name(change, field):
     F, M = read(SIX)
-    with pytest.raises(InvalidInput, match=f"^{re.escape(message)}"):
+    with refused(InvalidInput, field):
         calibrate_wrench(**{"forces": F, "torques": M, "gravities": SIX, **change})
-
-
-def test_too_few_orientations_are_counted():
-    with pytest.raises(InvalidInput, match="gravities: expected at least 3 orientations, got 2"):
-        calibrate_wrench(*read(SIX[:2]), SIX[:2])
 
 
 def test_compensation_refuses_shapes_that_do_not_fit():
     calibration = calibrate_wrench(*read(SIX), SIX)
-    with pytest.raises(InvalidInput, match="expected one shape"):
+    with refused(InvalidInput, "forces, torques, gravities"):
         compensate(np.zeros((2, 3)), np.zeros((3, 3)), SIX[0], calibration)
-    with pytest.raises(InvalidInput, match="gravities: expected 3 finite numbers"):
+    with refused(InvalidInput, "gravities"):
         compensate(np.zeros(3), np.zeros(3), [0, 0], calibration)

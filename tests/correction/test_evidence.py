@@ -9,7 +9,7 @@ from handsight.correction import solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from oracles import correction as oracle
-from scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
+from testbed.scenes import BOX_NORMALS, BOX_POINTS, box, can, can_contacts, grasp
 
 EVERYONE = np.ones((1, 5), dtype=bool)
 

@@ -1,21 +1,18 @@
 """Corrections by many contacts, of which some are wrong, and of which groups share an error."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 import handsight as hs
 from handsight import se3
-from handsight.batch.problems import Reader
-from handsight.correction import MOST_CONTACTS, SkinEvidence, refine_pose, registration
+from handsight.correction import MOST_CONTACTS, Outside, refine_pose, registration
+from handsight.correction.conflicts import MOST_CONFLICTS
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.objects import nearest
-from many_scenes import MANY, many_scene
-from scenes import BOX, box, can
+from testbed.refusals import refused
+from testbed.scenes import BOX, MANY, box, can, many_scene
 
 ALONE = MANY._replace(groups=0, sigma_point=1e-3, sigma_normal=0.05)
 
@@ -35,7 +32,7 @@ def test_few_contacts_are_registered_where_the_search_finds_them():
         scene = many_scene(box(), np.random.default_rng(seed), ALONE._replace(contacts=40))
         places = se3.apply(se3.inverse(scene.T_palm_object), scene.contacts.points_palm)
         contacts = scene.contacts.select(on_one_face(places))
-        searched = hs.correct_pose(box(), contacts, vision=scene.vision, answer="maximum")
+        searched = hs.correct_pose(box(), contacts, vision=scene.vision)
         problem = Problem(box(), contacts, scene.vision, NO_OUTSIDE)
         found = registration.registered(problem, searched.T_palm_object)
         if found.squares[:, 0].max() < 10:
@@ -55,48 +52,42 @@ def on_one_face(places):
 
 def test_information_is_that_of_the_whole_covariance_of_all_residuals():
     """With residuals r = J x + A e + n, e ~ N(0, S) of each group: Jᵀ (N + A S Aᵀ)⁻¹ J, all at once."""
-    rng = np.random.default_rng(3)
-    model = hs.ObjectModel.sphere(0.04)
-    scene = many_scene(model, rng, MANY._replace(contacts=60, groups=3))
-    contacts = replace_normals(scene.contacts)
+    model, h = hs.ObjectModel.sphere(0.04), 1e-6
+    scene = many_scene(model, np.random.default_rng(3), MANY._replace(contacts=60, groups=3))
+    groups, shared = scene.contacts.group, scene.contacts.shared_covariance
+    contacts = hs.Contacts(
+        scene.contacts.points_palm, sigma_point=1.5e-4, group=groups, shared_covariance=shared
+    )
     estimate = hs.correct_pose(model, contacts, vision=scene.vision)
-    T, h, n = estimate.T_palm_object, 1e-6, len(contacts)
+    points, center = contacts.points_palm, estimate.T_palm_object[:3, 3]
 
-    def distances(points):
-        return np.linalg.norm(points - T[:3, 3], axis=1) - 0.04
+    def distances(moved):
+        return np.linalg.norm(moved - center, axis=1) - 0.04
 
-    J, A = np.empty((n, 6)), np.zeros((n, 18))
+    J, A = np.empty((60, 3)), np.zeros((60, 18))
     for k, step in enumerate(h * np.eye(6)):
-        J[:, k] = (
-            distances(
-                se3.apply(se3.inverse(se3.moved(np.eye(4), step)), contacts.points_palm - T[:3, 3]) + T[:3, 3]
-            )
-            - distances(contacts.points_palm)
-        ) / h
+        if k < 3:
+            J[:, k] = (distances(points - step[:3]) - distances(points)) / h
         for g in range(3):
-            own = contacts.group == g
-            points = contacts.points_palm[own]
-            turned = (
-                (points - points.mean(axis=0)) @ se3.rotation_exp(step[3:]).T + points.mean(axis=0) + step[:3]
-            )
-            A[own, 6 * g + k] = (distances(turned) - distances(points)) / h
-    S = np.kron(np.eye(3), contacts.shared_covariance[0])
-    R = np.diag(contacts.covariance[:, 0, 0]) + A @ S @ A.T
-    touch = (J.T @ np.linalg.solve(R, J))[:3, :3]
+            own = points[groups == g]
+            middle = own.mean(axis=0)
+            moved = (own - middle) @ se3.rotation_exp(step[3:]).T + middle + step[:3]
+            A[groups == g, 6 * g + k] = (distances(moved) - distances(own)) / h
+    R = np.diag(contacts.covariance[:, 0, 0]) + A @ np.kron(np.eye(3), shared[0]) @ A.T
+    touch = J.T @ np.linalg.solve(R, J)
     prior = np.linalg.inv(scene.vision.covariance)[:3, :3]
-    np.testing.assert_allclose(
-        estimate.information[:3, :3], touch + prior, rtol=0.02, atol=0.02 * touch.max()
-    )
+    expected = touch + prior
+    np.testing.assert_allclose(estimate.information[:3, :3], expected, rtol=0.02, atol=0.02 * touch.max())
 
 
-def replace_normals(contacts):
-    """The same contacts without normals."""
-    return hs.Contacts(
-        contacts.points_palm,
-        sigma_point=1.5e-4,
-        group=contacts.group,
-        shared_covariance=contacts.shared_covariance,
-    )
+def test_groups_survive_selecting_and_joining():
+    contacts = many_scene(box(), np.random.default_rng(0), MANY._replace(contacts=12, groups=3)).contacts
+    rest = contacts.select(contacts.group > 0)
+    assert rest.group.tolist() == [1] * 4 + [2] * 4
+    both = contacts.joined(rest)
+    assert both.group.tolist() == [0] * 4 + [1] * 4 + [2] * 4 + [4] * 4 + [5] * 4
+    assert both.shared_covariance.shape == (6, 6, 6)
+    assert contacts.joined(hs.Contacts([[0, 0, 0]])).group[-1] == -1
 
 
 @pytest.mark.parametrize("n", [100, 1000, 10_000])
@@ -211,81 +202,61 @@ def test_a_pose_that_was_right_a_moment_ago_is_refined():
     assert error @ whole.information @ error < 0.05
 
 
-def test_refined_poses_are_as_uncertain_as_the_skin_that_they_come_from():
-    scene = many_scene(box(), np.random.default_rng(9), ALONE._replace(contacts=70))
-    sigmas = np.repeat([2e-3, 0.02], 3)
-    skin = SkinEvidence(scene.contacts.select(np.arange(10, 70)), np.empty((0, 3)), sigmas)
-    given = (box(), scene.contacts.select(np.arange(10)), scene.vision, scene.T_palm_object)
-    refined = refine_pose(*given, skin=skin)
-    assert refined is not None
-    assert (np.diag(refined.covariance) > sigmas**2).all()
-
-
-def test_groups_survive_selecting_and_joining():
-    contacts = many_scene(box(), np.random.default_rng(0), MANY._replace(contacts=12, groups=3)).contacts
-    rest = contacts.select(contacts.group > 0)
-    assert rest.group.tolist() == [1] * 4 + [2] * 4
-    both = contacts.joined(rest)
-    assert both.group.tolist() == [0] * 4 + [1] * 4 + [2] * 4 + [4] * 4 + [5] * 4
-    assert both.shared_covariance.shape == (6, 6, 6)
-    assert contacts.joined(hs.Contacts([[0, 0, 0]])).group[-1] == -1
-
-
-def test_errors_of_ones_own_are_those_that_a_group_shares_at_each_contact():
-    """Against draws."""
-    rng = np.random.default_rng(0)
-    contacts = many_scene(box(), rng, MANY._replace(contacts=30, groups=2)).contacts
-    own = contacts.with_own_errors()
-    assert (own.group == -1).all()
-    assert not len(own.shared_covariance)
-    error = rng.normal(size=(20_000, 6)) * np.sqrt(np.diag(contacts.shared_covariance[0]))
-    arm = contacts.points_palm[0] - contacts.points_palm[contacts.group == 0].mean(axis=0)
-    moved = np.hstack(
-        [error[:, :3] + np.cross(error[:, 3:], arm), np.cross(error[:, 3:], contacts.normals_palm[0])]
-    )
-    added = own.covariance[0] - contacts.covariance[0]
-    scale = np.sqrt(np.diag(np.cov(moved.T)).max())
-    np.testing.assert_allclose(added, np.cov(moved.T), atol=0.03 * scale**2)
-
-
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "field"),
     [
-        ({"group": [0, 0]}, "group, shared_covariance: expected both or neither"),
-        ({"shared_covariance": np.eye(6)}, "group, shared_covariance: expected both or neither"),
-        ({"group": [0], "shared_covariance": np.eye(6)}, "group: expected"),
-        ({"group": [0, 0.5], "shared_covariance": np.eye(6)}, "group: expected whole numbers"),
-        ({"group": [0, 2], "shared_covariance": np.eye(6)}, "group: expected whole numbers from -1 to 1"),
+        ({"group": [0, 0]}, "group, shared_covariance"),
+        ({"shared_covariance": np.eye(6)}, "group, shared_covariance"),
+        ({"group": [0], "shared_covariance": np.eye(6)}, 'group'),
+        ({"group": [0, 0.5], "shared_covariance": np.eye(6)}, 'group'),
+        ({"group": [0, 2], "shared_covariance": np.eye(6)}, 'group'),
         ({"group": [0, np.nan], "shared_covariance": np.eye(6)}, "group"),
-        ({"group": [0, 1], "shared_covariance": [np.eye(6)]}, "shared_covariance: expected one for each of 2 groups"),
-        ({"group": [0, 1], "shared_covariance": -np.eye(6)}, "shared_covariance: "),
+        ({"group": [0, 1], "shared_covariance": [np.eye(6)]}, 'shared_covariance'),
+        ({"group": [0, 1], "shared_covariance": -np.eye(6)}, 'shared_covariance'),
     ],
 )  # fmt: skip
-def test_wrong_groups_are_refused(given, message):
-    with pytest.raises(hs.InvalidInput, match=message):
+def test_wrong_groups_are_refused(given, field):
+    with refused(hs.InvalidInput, field):
         hs.Contacts([[0, 0, 0], [0.01, 0, 0]], **given)
 
 
-def test_samples_are_refused_where_contacts_share_errors():
-    scene = many_scene(box(), np.random.default_rng(0), MANY._replace(contacts=20, groups=2))
-    with pytest.raises(hs.InvalidInput, match="samples, method: expected neither"):
-        hs.correct_pose(box(), scene.contacts, vision=scene.vision, samples=100)
+def precise_scene(seed, contacts):
+    """Contacts anywhere on the box, of one error for each."""
+    return many_scene(box(), np.random.default_rng(seed), ALONE._replace(contacts=contacts))
 
 
-def test_a_line_of_a_file_has_groups_as_python_does():
-    scene = many_scene(box(), np.random.default_rng(0), MANY._replace(contacts=20, groups=2))
-    contacts = scene.contacts
-    rows = [
-        {"point": p, "normal": n, "sigma_point": 1.5e-4, "sigma_normal_deg": np.rad2deg(0.03), "group": g}
-        for p, n, g in zip(
-            contacts.points_palm.tolist(),
-            contacts.normals_palm.tolist(),
-            contacts.group.tolist(),
-            strict=True,
-        )
-    ]
-    line = {"object": {"box": [0.06, 0.09, 0.14]}, "contacts": rows}
-    line["shared_covariance"] = contacts.shared_covariance[0].tolist()
-    read = Reader(Path()).read(json.dumps(line).encode()).contacts
-    np.testing.assert_array_equal(read.group, contacts.group)
-    np.testing.assert_allclose(read.shared_covariance, contacts.shared_covariance)
+@pytest.mark.parametrize("n", [60, 200])
+def test_points_of_the_hand_inside_are_named_however_many_contacts_there_are(n):
+    for seed in range(5):
+        scene = precise_scene(seed, n)
+        inside = se3.apply(scene.T_palm_object, np.array([[BOX[0] / 2 - 0.01, 0.0, 0.0]]))
+        outside = Outside(inside, sigmas=1e-3)
+        estimate = hs.correct_pose(box(), scene.contacts, vision=scene.vision, outside=outside)
+        assert not estimate.consistent
+        assert "outside" in {conflict.evidence for conflict in estimate.conflicts}
+
+
+def test_contacts_that_are_rejected_are_in_conflicts_the_worst_first():
+    scene = many_scene(box(), np.random.default_rng(1), ALONE._replace(contacts=200, wrong=0.05))
+    estimate = hs.correct_pose(box(), scene.contacts, vision=scene.vision)
+    left_out = [conflict for conflict in estimate.conflicts if conflict.excluded]
+    numbers = {int(conflict.evidence.removeprefix("contact ")) for conflict in left_out}
+    assert numbers
+    assert numbers <= set(estimate.outliers)
+    assert len(numbers) == min(len(estimate.outliers), MOST_CONFLICTS)
+    squares = [conflict.chi2 for conflict in left_out]
+    assert squares == sorted(squares, reverse=True)
+
+
+def test_another_order_of_many_contacts_changes_nothing():
+    """Of three hundred in four patches, some of them wrong."""
+    patches = MANY._replace(contacts=300, groups=4, wrong=0.05, shared=(1e-7, 1e-7))
+    for seed in range(8):
+        scene = many_scene(can(), np.random.default_rng([3, seed]), patches)
+        contacts = hs.Contacts(scene.contacts.points_palm, scene.contacts.normals_palm, 1e-3, 0.05)
+        order = np.random.default_rng(seed).permutation(300)
+        one = hs.correct_pose(can(), contacts, vision=scene.vision)
+        other = hs.correct_pose(can(), contacts.select(order), vision=scene.vision)
+        step = se3.difference(one.T_palm_object, other.T_palm_object)
+        assert step @ one.information @ step < 0.05
+        assert sorted(order[list(other.outliers)]) == list(one.outliers)

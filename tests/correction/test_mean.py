@@ -1,7 +1,5 @@
 """The answer where a mode is no Gaussian: the mean of what contacts allow, against many posterior samples."""
 
-import json
-
 import numpy as np
 import pytest
 from scipy.special import chdtrc, chdtri
@@ -9,20 +7,19 @@ from scipy.special import chdtrc, chdtri
 import handsight as hs
 from handsight import se3
 from handsight._kernels.records import ANSWER
-from handsight.batch.problems import Reader, answer_text
-from handsight.correction import ANSWERS, Outside, Plane, refine_pose
-from handsight.correction.mean import _merged
+from handsight.correction import Outside, Plane
+from handsight.correction.mean import merged
 from handsight.correction.modes import in_metres
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.objects import ObjectWarning, Symmetries
 from handsight.objects.symmetry import tangents
-from handsight.tracking import TrackerSettings
-from objects.object_shapes import data_file
-from scenes import (
+from testbed.sampled import sampled
+from testbed.scenes import (
     ERROR,
     across_box,
     anywhere_on,
+    at_maximum,
     box,
     can,
     can_contacts,
@@ -91,10 +88,10 @@ def compared(seeds, samples):
             model, contacts, vision, outside = gripped(seed, kind)
             given = {"vision": vision, "outside": outside}
             best = hs.correct_pose(model, contacts, **given)
-            maximum = hs.correct_pose(model, contacts, answer="maximum", **given)
-            sampled = hs.correct_pose(model, contacts, samples=samples, **given)
-            if np.any(best.T_palm_object != maximum.T_palm_object) and best.hypotheses[0].weight > 0.99:
-                rows.append((*off_by(model, best, sampled), off_by(model, maximum, sampled)[0]))
+            if np.any(best.T_palm_object != best.T_palm_object_maximum) and best.hypotheses[0].weight > 0.99:
+                reference = sampled(model, contacts, samples=samples, **given)
+                off_maximum, _ = off_by(model, at_maximum(best), reference)
+                rows.append((*off_by(model, best, reference), off_maximum))
     return rows
 
 
@@ -124,8 +121,7 @@ def test_where_the_mode_is_a_gaussian_the_answer_is_its_maximum():
     for seed in range(20):
         contacts, vision, _ = grasp(points, normals, seed)
         best = hs.correct_pose(box(), contacts, vision=vision)
-        maximum = hs.correct_pose(box(), contacts, vision=vision, answer="maximum")
-        np.testing.assert_array_equal(best.T_palm_object, maximum.T_palm_object)
+        np.testing.assert_array_equal(best.T_palm_object, best.T_palm_object_maximum)
 
 
 def test_a_slide_between_edges_has_the_mean_and_the_deviation_of_a_truncated_gaussian():
@@ -140,7 +136,9 @@ def test_a_slide_between_edges_has_the_mean_and_the_deviation_of_a_truncated_gau
             sigma = np.array([slide, 1e-3, 1e-3, 0.01, 0.01, 0.01])
             T = se3.compose(np.eye(3), np.array([off, 0, 0]))
             vision = hs.PosePrior(T, np.diag(sigma**2))
-            estimate = hs.correct_pose(box(), contacts, vision=vision, answer="mean")
+            estimate = hs.correct_pose(box(), contacts, vision=vision)
+            if np.array_equal(estimate.T_palm_object, estimate.T_palm_object_maximum):
+                continue  # it counts as a Gaussian
             density = np.exp(-0.5 * ((x - off) / slide) ** 2)
             density /= density.sum()
             mean = density @ x
@@ -152,45 +150,9 @@ def test_a_slide_between_edges_has_the_mean_and_the_deviation_of_a_truncated_gau
         f"{len(rows)} slides: mean off by {shift[0]:.3f} deviations (median), {shift[1]:.3f} (90 %), {shift[2]:.3f} "
         f"(most); deviation off by {100 * ratio[0]:.1f}, {100 * ratio[1]:.1f}, {100 * ratio[2]:.1f} %"
     )
+    assert len(rows) > 30
     assert (shift < [0.02, 0.05, 0.1]).all()
     assert (ratio < [0.02, 0.04, 0.06]).all()
-
-
-def test_a_gaussians_mean_is_its_maximum():
-    points = np.array([[0.03, 0, 0.01], [0, 0.045, 0], [0, 0, 0.07], [0, -0.045, 0.02], [-0.03, 0.01, 0]])
-    normals = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [-1, 0, 0]])
-    for seed in range(6):
-        contacts, vision, _ = grasp(points, normals, seed)
-        integrated = hs.correct_pose(box(), contacts, vision=vision, answer="mean")
-        maximum = hs.correct_pose(box(), contacts, vision=vision, answer="maximum")
-        shift, ratios = off_by(box(), integrated, maximum)
-        assert shift < 0.1
-        np.testing.assert_allclose(ratios, 1, atol=0.1)
-
-
-def test_the_first_hypothesis_is_the_answer_and_weights_sum_to_one():
-    for kind in KINDS:
-        for seed in range(3):
-            model, contacts, vision, outside = gripped(seed, kind)
-            estimate = hs.correct_pose(model, contacts, vision=vision, outside=outside)
-            first = estimate.hypotheses[0]
-            np.testing.assert_array_equal(first.T_palm_object, estimate.T_palm_object)
-            np.testing.assert_array_equal(first.information, estimate.information)
-            assert sum(h.weight for h in estimate.hypotheses) == pytest.approx(1)
-            assert first.weight == max(h.weight for h in estimate.hypotheses)
-            assert min(h.weight for h in estimate.hypotheses) > 1e-12  # none that is impossible
-            se3.check(estimate.T_palm_object, "T_palm_object")
-
-
-def test_covariance_and_information_are_each_others_inverse():
-    for seed in range(4):
-        model, contacts, vision, _ = gripped(seed, "free")
-        estimate = hs.correct_pose(model, contacts, vision=vision)
-        scale = np.repeat([1.0, 1 / model.radius], 3)
-        product = (estimate.covariance / np.outer(scale, scale)) @ in_metres(
-            estimate.information, model.radius
-        )
-        np.testing.assert_allclose(product, np.eye(6), atol=1e-6)
 
 
 def test_a_spin_about_a_declared_axis_is_not_integrated_over():
@@ -206,33 +168,11 @@ def test_a_spin_about_a_declared_axis_is_not_integrated_over():
         np.testing.assert_allclose(other.T_palm_object[:3, 3], estimate.T_palm_object[:3, 3], atol=1e-3)
 
 
-def test_refine_pose_from_the_maximum_of_a_slide_gives_the_same_mean():
-    for seed in range(4):
-        model, contacts, vision, _ = gripped(seed, "free")
-        estimate = hs.correct_pose(model, contacts, vision=vision)
-        again = refine_pose(model, contacts, vision, estimate.T_palm_object_maximum)
-        assert again is not None
-        delta = se3.difference(again.T_palm_object, estimate.T_palm_object)
-        assert delta @ estimate.information @ delta < 0.3**2
-
-
-def test_two_maxima_of_one_slide_are_one_hypothesis():
-    fewer = 0
-    for seed in range(24):
-        model, contacts, vision, _ = gripped(seed, "free")
-        maxima = hs.correct_pose(model, contacts, vision=vision, answer="maximum")
-        best = hs.correct_pose(model, contacts, vision=vision)
-        assert len(best.hypotheses) <= len(maxima.hypotheses)
-        fewer += len(best.hypotheses) < len(maxima.hypotheses)
-    assert fewer
-
-
 def test_without_vision_an_open_slide_has_no_covariance():
     contacts, _, _ = grasp(*can_contacts(), seed=3)
-    for answer in ANSWERS:
-        estimate = hs.correct_pose(can(), contacts, answer=answer)
-        assert estimate.covariance is None
-        assert np.abs(estimate.residuals.distance).max() < 0.004
+    estimate = hs.correct_pose(can(), contacts)
+    assert estimate.covariance is None
+    assert np.abs(estimate.residuals.distance).max() < 0.004
     rng = np.random.default_rng(5)
     scene = random_scene(across_box(rng), rng, error=ERROR)
     best = hs.correct_pose(box(), scene.contacts)
@@ -245,26 +185,10 @@ def test_without_vision_maxima_along_an_open_slide_are_hypotheses():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         contacts = random_scene(across_box(rng), rng).contacts
-        best, maximum = (hs.correct_pose(box(), contacts, answer=answer) for answer in ("best", "maximum"))
+        best = hs.correct_pose(box(), contacts)
         unknown = best.hypotheses[0].covariance is None
-        assert not unknown or len(best.hypotheses) >= min(5, len(maximum.hypotheses))
         several += unknown and len(best.hypotheses) >= 5
     assert several
-
-
-def test_an_unknown_answer_is_refused():
-    scene = grasp(*can_contacts(), seed=0)
-    with pytest.raises(
-        hs.HandsightError, match=r"^answer: expected one of best, maximum, mean, got 'median'"
-    ):
-        hs.correct_pose(can(), scene[0], vision=scene[1], answer="median")
-    with pytest.raises(
-        hs.HandsightError, match=r"^settings.answer: expected one of best, maximum, mean, got"
-    ):
-        TrackerSettings(answer="median")
-    problem = {"object": {"box": [0.1, 0.1, 0.1]}, "contacts": [{"point": [0.05, 0, 0]}], "answer": "median"}
-    answer = json.loads(answer_text(Reader("."), json.dumps(problem).encode()))
-    assert answer == {"error": "answer: expected one of best, maximum, mean, got 'median'"}
 
 
 def marker():
@@ -277,7 +201,7 @@ def marker():
     here = np.arange(48 * (len(radius) - 1))
     after = here - here % 48 + (here + 1) % 48
     faces = [np.stack([here, after, after + 48], axis=1), np.stack([here, after + 48, here + 48], axis=1)]
-    with pytest.warns(ObjectWarning, match="without area"):  # at both ends
+    with pytest.warns(ObjectWarning):  # at both ends
         return hs.ObjectModel.from_mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
@@ -303,14 +227,6 @@ def test_three_and_four_contacts_on_small_detail_seldom_leave_the_truth_out():
         assert left_out(model, np.random.default_rng([12, contacts]), contacts, 300, near) < 0.015
 
 
-@pytest.mark.slow
-def test_three_contacts_on_a_scan_seldom_leave_the_truth_out():
-    """Of 600 answers with vision 20 mm and 15° off, 0.7 % did when this was written, and 2.3 % with starts on the coarse
-    field alone and modes of its minima."""
-    model = hs.ObjectModel.from_file(data_file("ycb_meshes/006_mustard_bottle.ply"))
-    assert left_out(model, np.random.default_rng(11), 3, 600, ERROR) < 0.015
-
-
 @pytest.mark.parametrize("draw", [on_box_faces, on_can_side])
 def test_three_contacts_on_a_plain_object_hold_the_truth(draw):
     model, rng, beyond = box() if draw is on_box_faces else can(), np.random.default_rng(12), 0
@@ -334,11 +250,25 @@ def test_minima_beside_a_mode_are_in_its_region():
         row["information"] = np.diag(1 / sigma**2)
     contacts, vision, _ = grasp(np.eye(3)[:1] * 0.03, np.eye(3)[:1], 0)
     problem = Problem(model.with_symmetries(Symmetries()), contacts, vision, NO_OUTSIDE)
-    merged = _merged(problem, rows.copy(), "best")
-    assert len(merged) == 2
-    np.testing.assert_allclose(merged[0]["T_palm_object"][0, 3], 0.005, atol=1e-12)
-    np.testing.assert_allclose(merged[0]["covariance"][0, 0], 1e-6 + 0.005**2)
-    np.testing.assert_allclose(merged[0]["information"] @ merged[0]["covariance"], np.eye(6), atol=1e-9)
-    assert merged[0]["log_weight"] == pytest.approx(np.log(2))
-    maxima = _merged(problem, rows.copy(), "maximum")
+    means = merged(problem, rows.copy(), means=True)
+    assert len(means) == 2
+    np.testing.assert_allclose(means[0]["T_palm_object"][0, 3], 0.005, atol=1e-12)
+    np.testing.assert_allclose(means[0]["covariance"][0, 0], 1e-6 + 0.005**2)
+    np.testing.assert_allclose(means[0]["information"] @ means[0]["covariance"], np.eye(6), atol=1e-9)
+    assert means[0]["log_weight"] == pytest.approx(np.log(2))
+    maxima = merged(problem, rows.copy(), means=False)
     np.testing.assert_array_equal(maxima[0]["T_palm_object"], np.eye(4))
+
+
+def test_a_pose_from_vision_that_is_metres_off_is_contradicted_and_no_more():
+    """Its cost is so large that differences of logarithms of the density are lost in rounding."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        contacts, vision, T = grasp(*across_box(rng), seed)
+        T_far = T.copy()
+        T_far[:3, 3] += [4.0, 0, 0]
+        far = hs.PosePrior.from_sigmas(T_far, 10 ** rng.uniform(-9, -3), 10 ** rng.uniform(-9, -3))
+        outside = Outside(se3.apply(T, np.zeros((1, 3))))
+        estimate = hs.correct_pose(box(), contacts, vision=far, outside=outside)
+        assert not estimate.consistent
+        assert np.isfinite(estimate.T_palm_object).all()

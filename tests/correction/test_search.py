@@ -7,14 +7,16 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels.solve import search
 from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
-from handsight.correction import MOST_CONTACTS, MOST_PLANES, TwoPhase, modes, refine_pose
+from handsight.correction import MOST_CONTACTS, MOST_PLANES, modes, refine_pose
+from handsight.correction.correct import solve_single_start
 from handsight.correction.modes import SAME_MODE
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.correction.solve import solve_single_start
-from scenes import NOISE, anywhere_on, box, can, off, on_box_faces, on_can_side, random_scene
+from handsight.correction.solve import solve
+from handsight.correction.starts import from_prior
+from testbed.refusals import refused
+from testbed.scenes import anywhere_on, box, can, off, on_box_faces, on_can_side, random_scene
 
 PROFILE = np.array([[-0.02, 0], [0.08, 0], [0.08, 0.04], [0.02, 0.04], [0.02, 0.14], [-0.02, 0.14]])
 
@@ -43,12 +45,13 @@ def scene_on(model, seed):
 def better_near_the_truth(seed):
     """How much cheaper a descent on the fine field from the truth ends than the answer, and how far off it [m, rad]."""
     scene = scene_on(bracket(), seed)
-    answer = hs.correct_pose(bracket(), scene.contacts, vision=scene.vision, answer="maximum")
-    near = refine_pose(bracket(), scene.contacts, scene.vision, scene.T_palm_object, answer="maximum")
+    answer = hs.correct_pose(bracket(), scene.contacts, vision=scene.vision)
+    near = refine_pose(bracket(), scene.contacts, scene.vision, scene.T_palm_object)
     if near is None or answer.outliers or not answer.consistent:
         return 0.0, 0.0, 0.0
-    gain = answer.hypotheses[0].cost - near.hypotheses[0].cost
-    return gain, *off(answer.T_palm_object, near.T_palm_object)[:2]
+    # The likeliest mode by its mean need not be the cheapest.
+    gain = min(mode.cost for mode in answer.hypotheses) - near.hypotheses[0].cost
+    return gain, *off(answer.T_palm_object_maximum, near.T_palm_object_maximum)[:2]
 
 
 @pytest.mark.parametrize("seed", [2462, 4079, 5944])
@@ -86,48 +89,19 @@ def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_man
         coarse = modes.chi2_survival(row["coarse_cost"] * wide / ACCEPTANCE.coarse_factor, rows)
         fine = modes.chi2_survival(row["cost"], rows)
         if coarse < ACCEPTANCE.coarse_p or fine < ACCEPTANCE.doubt_plain_p * wide:  # it was doubted
-            many = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=TwoPhase(starts=64))
-            saved.append(float(row["posterior_cost"]) - many.hypotheses[0].cost)
+            given = Problem(model, scene.contacts, scene.vision, NO_OUTSIDE)
+            everyone = np.ones((1, len(scene.contacts)), dtype=bool)
+            many = solve(given, from_prior(scene.vision, 64)[None], everyone)
+            saved.append(float(row["posterior_cost"]) - float(many.minima["posterior_cost"][0]))
     assert len(saved) > 5
     assert max(saved) < 3
 
 
-def poses_scored(n, monkeypatch, *, blind, wrong=8):
-    """How many poses a correction of n contacts, some wrong, holds all contacts against."""
-    scene = random_scene(box().sample(n, seed=3), np.random.default_rng(3))
-    points = scene.contacts.points_palm.copy()
-    points[:wrong] += 0.03 * np.random.default_rng(4).normal(size=(wrong, 3))
-    contacts = hs.Contacts(points, scene.contacts.normals_palm, *NOISE)
-    work = []
-
-    def counting(kernel, place):
-        def counted(*given):
-            work.append(given[2].shape[-1] * given[place].size)
-            kernel(*given)
-
-        return counted
-
-    with monkeypatch.context() as patch:
-        for kernel, place in ((search.search, 5), (search.score, 4)):
-            patch.setattr(search, kernel.__name__, counting(kernel, place))
-        hs.correct_pose(box(), contacts, vision=None if blind else scene.vision)
-    return sum(work) / n
-
-
-@pytest.mark.parametrize(
-    ("blind", "most"), [(False, 1000), pytest.param(True, 30_000, marks=pytest.mark.slow)]
-)
-def test_the_work_does_not_grow_faster_than_the_number_of_contacts(monkeypatch, blind, most):
-    # Each contact left out in turn, from a dozen starts, would be 12 poses for each contact with vision.
-    for n in (40, 120, 240):
-        assert 0 < poses_scored(n, monkeypatch, blind=blind) < most
-
-
 def test_too_many_contacts_or_planes_are_refused():
     scene = random_scene(box().sample(MOST_CONTACTS + 1), np.random.default_rng(0))
-    with pytest.raises(hs.HandsightError, match=f"^contacts: expected at most {MOST_CONTACTS} contacts, got"):
+    with refused(hs.HandsightError, "contacts"):
         hs.correct_pose(box(), scene.contacts)
     few = scene.contacts.select(range(3))
     planes = [hs.correction.Plane([0, 0, -1], [0, 0, 1], 1e-3)] * (MOST_PLANES + 1)
-    with pytest.raises(hs.HandsightError, match=f"^outside.planes: expected at most {MOST_PLANES} planes"):
+    with refused(hs.HandsightError, "outside.planes"):
         hs.correct_pose(box(), few, vision=scene.vision, outside=hs.correction.Outside((), planes))

@@ -5,12 +5,12 @@ import pytest
 from scipy.special import chdtri
 
 import handsight as hs
-import scenes
-import skin_scenes
 from handsight import se3
-from handsight.correction import Outside, SkinEvidence, open_draws
+from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
-from handsight.simulation.taxels import SKIN
+from handsight.simulation.taxels import FOAM, RUBBER
+from testbed import scenes, skin_scenes
+from testbed.refusals import refused
 
 ARRAY = skin_scenes.palm_array()
 
@@ -37,7 +37,7 @@ def test_an_edge_on_the_array_ends_the_slide(draw):
     assert np.mean(inside) > 0.8
 
 
-@pytest.mark.parametrize("springs", [SKIN.rubber, SKIN.foam])
+@pytest.mark.parametrize("springs", [RUBBER, FOAM])
 def test_errors_on_an_array_are_as_large_as_the_answer_says(springs):
     """Where a skin is hard, half of the taxels under a face are not touched. Tilts are left out: the box has none."""
     squared, flat = [], [0, 1, 2, 5]
@@ -55,18 +55,6 @@ def test_errors_on_an_array_are_as_large_as_the_answer_says(springs):
     assert 0.5 < np.mean(squared) / 4 < 1.6
     assert 0.3 < inside[0] < 0.75
     assert inside[1] > 0.85
-
-
-def test_more_draws_change_neither_answer_nor_uncertainty(monkeypatch):
-    """Of scenes with one mode, within what 80 draws can tell."""
-    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY, springs=SKIN.rubber)
-    skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
-    few = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
-    monkeypatch.setattr(open_draws, "DRAWS", open_draws.DRAWS._replace(most=12_000, enough=1000.0))
-    many = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
-    sigmas = np.sqrt(np.diag(many.covariance))
-    assert (np.abs(se3.difference(few.T_palm_object, many.T_palm_object)) < 0.5 * sigmas).all()
-    np.testing.assert_allclose(np.sqrt(np.diag(few.covariance)), sigmas, rtol=0.35)
 
 
 def test_an_untouched_taxel_says_less_where_covered_ones_are_not_touched():
@@ -91,20 +79,6 @@ def test_the_answer_is_as_uncertain_as_the_array():
     assert skin.sigmas[4] > 0.1
 
 
-def test_the_deprecated_outside_of_skin_gives_the_same_answer_with_a_warning():
-    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
-    touch = scene.touch(ARRAY)
-    new = hs.correct_pose(
-        scene.model, scene.tips, vision=scene.vision, skin=SkinEvidence.of(touch, np.eye(4))
-    )
-    with pytest.warns(DeprecationWarning, match="SkinEvidence"):
-        outside = Outside.of_skin(touch, np.eye(4))
-    contacts = scene.tips.joined(touch.contacts(np.eye(4)))
-    old = hs.correct_pose(scene.model, contacts, vision=scene.vision, outside=outside)
-    np.testing.assert_array_equal(old.T_palm_object, new.T_palm_object)
-    np.testing.assert_array_equal(old.covariance, new.covariance)
-
-
 def test_an_array_is_combined_with_points_of_the_hand_and_another_array():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
@@ -119,40 +93,11 @@ def test_an_array_is_combined_with_points_of_the_hand_and_another_array():
         np.testing.assert_allclose(other.T_palm_object, alone.T_palm_object, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore:Outside.skin")
-def test_joined_outsides_have_the_points_of_both():
-    a = Outside([[0, 0, 1.0], [0, 0, 2]], sigmas=1e-3, links=[4, 4], slacks=[0.0, 0.1])
-    b = Outside([[1.0, 0, 0]], sigmas=[2e-3], skin=np.arange(6.0))
-    both = a.joined(b)
-    np.testing.assert_array_equal(both.points_palm, [[0, 0, 1], [0, 0, 2], [1, 0, 0]])
-    np.testing.assert_array_equal(both.sigmas, [1e-3, 1e-3, 2e-3])
-    np.testing.assert_array_equal(both.links, [4, 4, 5])
-    np.testing.assert_array_equal(both.slacks, [0, 0.1, 0])
-    np.testing.assert_array_equal(both.skin, np.arange(6.0))
-
-
 def test_wrong_skin_evidence_is_refused():
-    with pytest.raises(InvalidInput, match=r"skin\.sigmas: expected 6 finite numbers"):
+    with refused(InvalidInput, "skin.sigmas"):
         SkinEvidence(None, np.empty((0, 3)), [1e-3])
-    with pytest.raises(InvalidInput, match=r"skin\.contacts: expected Contacts or None"):
+    with refused(InvalidInput, "skin.contacts"):
         SkinEvidence(np.eye(3), np.empty((0, 3)), np.ones(6))
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
-    with pytest.raises(InvalidInput, match="skin: expected SkinEvidence or None, got int"):
+    with refused(InvalidInput, "skin"):
         hs.correct_pose(scene.model, scene.tips, skin=3)
-
-
-@pytest.mark.parametrize("points", ["abc", np.zeros(4), np.zeros((3, 4)), [[0.0, 0.0], [0.0]]])
-def test_untouched_points_are_rows_of_three_numbers(points):
-    with pytest.raises(
-        InvalidInput, match=r"skin\.untouched_palm: expected finite numbers of shape \(n, 3\)"
-    ):
-        SkinEvidence(None, points, np.ones(6))
-
-
-def test_the_papers_method_is_as_uncertain_as_the_array_too():
-    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
-    skin = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 0.02))
-    estimate = hs.correct_pose(
-        scene.model, scene.tips, vision=scene.vision, skin=skin, method="paper-lm-distance"
-    )
-    assert (np.sqrt(np.diag(estimate.covariance)) > 0.02).all()

@@ -13,7 +13,8 @@ from handsight.correction.problem import Problem, descents_at
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import Symmetries
 from handsight.objects.symmetry import kept_center
-from scenes import box, can
+from testbed.refusals import refused
+from testbed.scenes import box, can
 
 T_TRUE = se3.compose(se3.rotation_exp(np.array([0.2, -0.1, 0.3])), np.array([0.01, -0.08, 0.09]))
 SIDE = np.array([[0.03, 0.01, 0.02], [0.03, -0.02, -0.03], [-0.03, 0.0, 0.0]])
@@ -87,33 +88,26 @@ def test_without_vision_the_weight_determines_the_slide():
 
 
 def test_a_centre_of_mass_off_the_axis_is_refused_for_a_symmetric_object():
-    with pytest.raises(InvalidInput, match="leave in place, got one 10.0 mm off"):
+    with refused(InvalidInput, "weight.center_object"):
         hs.correct_pose(can(), gripped(), vision=vision(), weight=weighed((0.01, 0, 0)))
-    with pytest.raises(InvalidInput, match="center_of_mass: expected a point that the object's symmetries"):
+    with refused(InvalidInput, "center_of_mass"):
         can().with_weight(center_of_mass=(0.01, 0, 0))
     np.testing.assert_allclose(can().with_weight(center_of_mass=(1e-4, 0, 0)).center_of_mass, 0, atol=1e-12)
     np.testing.assert_allclose(kept_center(can().symmetries, np.array([0.0, 0, 0.02])), 0, atol=1e-9)
 
 
-def test_the_papers_method_refuses_a_weight():
-    with pytest.raises(InvalidInput, match="weight: expected None"):
-        hs.correct_pose(box(), gripped(), vision=vision(), weight=weighed(), method="paper-lm")
-    with pytest.raises(InvalidInput, match="weight: expected WeightEvidence or None, got tuple"):
-        hs.correct_pose(box(), gripped(), vision=vision(), weight=(0, 0, 0))
-
-
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "field"),
     [
         ({"center_object": [0, 0]}, "weight.center_object"),
         ({"center_palm": [np.nan, 0, 0]}, "weight.center_palm"),
-        ({"covariance": np.zeros((3, 3))}, "weight.covariance: expected a positive definite one"),
+        ({"covariance": np.zeros((3, 3))}, "weight.covariance"),
         ({"covariance": np.diag([1.0, -1, 1]) * 1e-6}, "weight.covariance"),
     ],
 )
-def test_a_wrong_weight_is_refused(change, message):
+def test_a_wrong_weight_is_refused(change, field):
     given = {"center_object": np.zeros(3), "center_palm": np.zeros(3), "covariance": 1e-6 * np.eye(3)}
-    with pytest.raises(InvalidInput, match=message):
+    with refused(InvalidInput, field):
         WeightEvidence(**{**given, **change})
 
 
@@ -125,20 +119,5 @@ def test_a_model_has_the_centroid_of_its_volume():
     np.testing.assert_allclose(cone.volume_centroid, shape.center_mass, atol=1e-5)
     np.testing.assert_allclose(box().volume_centroid, 0, atol=1e-12)
     cloud = hs.ObjectModel.from_points(*box().sample(500))
-    with pytest.raises(InvalidObject, match="expected a closed mesh"):
+    with refused(InvalidObject, "object"):
         getattr(replace(cloud, closed=False), "volume_centroid")  # noqa: B009 - it raises
-
-
-def test_a_library_keeps_the_weights_of_its_objects(tmp_path):
-    import trimesh
-
-    from handsight.objects import Facts, Library
-
-    trimesh.creation.box((0.06, 0.09, 0.14)).export(tmp_path / "box.stl")
-    library = Library(tmp_path / "library")
-    known = Facts(name="tea", mass=0.2, center_of_mass=(0.01, 0.0, 0.02), sigma_center_of_mass=0.003)
-    library.add(tmp_path / "box.stl", known)
-    model = library.model("tea")
-    assert model.mass == 0.2
-    np.testing.assert_allclose(model.center_of_mass, [0.01, 0, 0.02])
-    assert model.sigma_center_of_mass == 0.003

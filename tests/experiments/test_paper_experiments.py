@@ -3,31 +3,20 @@
 Bounds come from the full runs: each leaves at least four standard errors at the trials of `--quick`.
 """
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
-import scenes
-import table_1
-from experiments.experiment_runs import EXPERIMENTS, column, run
-from shared import grasp_errors, report
+from experiments.paper import table_1
+from experiments.shared import grasp_errors
+from testbed import report, scenes
+from testbed.experiment_runs import column, run
 
 SHAPES = ("cube", "cylinder")
 
 
-def test_an_experiment_is_a_program_that_finds_what_it_shares_from_any_folder(tmp_path):
-    program = [sys.executable, "-W", "error::DeprecationWarning:__main__", EXPERIMENTS / "figure_6.py"]
-    done = subprocess.run([*program, "--quick"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert "wrote results/figure_6.png" in done.stdout
-    assert (tmp_path / "results/figure_6.csv").exists()
-
-
 @pytest.mark.slow
 def test_table_1_has_the_papers_findings_and_handsights_target(tmp_path):
-    rows = run("table_1", tmp_path, "--quick")["table_1"]
+    rows = run("paper.table_1", tmp_path, "--quick")["table_1"]
     assert len(rows) == 12
     assert sum(row["its_published"] != "" for row in rows) == 8
 
@@ -59,7 +48,7 @@ def test_the_same_seed_gives_the_same_table_and_another_seed_another(tmp_path):
 
 @pytest.mark.slow
 def test_figure_2_larger_regions_miss_fewer_of_the_points_touched(tmp_path):
-    rows = run("figure_2", tmp_path, "--quick")["figure_2"]
+    rows = run("paper.figure_2", tmp_path, "--quick")["figure_2"]
     for shape in SHAPES:
         held = column(rows, "holds_true_point_mean", shape=shape)
         # A larger region holds the smaller one, so this is no matter of luck.
@@ -71,7 +60,7 @@ def test_figure_2_larger_regions_miss_fewer_of_the_points_touched(tmp_path):
 
 @pytest.mark.slow
 def test_figure_3_shows_a_median_trial_and_handsight_nearer_to_the_truth(tmp_path):
-    rows = run("figure_3", tmp_path, "--quick")["figure_3"]
+    rows = run("paper.figure_3", tmp_path, "--quick")["figure_3"]
     assert len(rows) == 6
     for shape in SHAPES:
         start, paper, ours = column(rows, "surface_cm_mean", shape=shape)
@@ -86,41 +75,13 @@ def test_figure_3_shows_a_median_trial_and_handsight_nearer_to_the_truth(tmp_pat
 
 @pytest.mark.slow
 def test_figure_6_the_centre_is_off_by_root_three_of_a_corner(tmp_path):
-    rows = run("figure_6", tmp_path, "--quick")["figure_6"]
+    rows = run("paper.figure_6", tmp_path, "--quick")["figure_6"]
     meant = [row for row in rows if row["corners"] == "as meant"]
     # 4000 numbers each: a standard deviation is known to 1.1 %.
     np.testing.assert_allclose(
         column(meant, "error_per_axis_mm"), column(meant, "predicted_per_axis_mm"), rtol=0.05
     )
     assert (column(rows, "distance_mean_mm", corners="swapped") > 100).all()
-
-
-@pytest.mark.slow
-def test_claims_have_a_sentence_each_and_the_directions_found(tmp_path):
-    tables = run("claims", tmp_path, "--quick")
-    sentences = tables["claims"]
-    assert {row["claim"][0] for row in sentences} == set("abcd")
-    assert all(row["outcome"] and row["numbers"] for row in sentences)
-
-    near = {
-        m: column(tables["claims_edges"], "wrong_face", method=m, near_edge="1").mean() for m in EDGE_METHODS
-    }
-    # 0.45 to 0.10 and 0.36 to 0.00 over 150 grasps; the gains' errors are 0.07 and 0.06 for 20.
-    assert near["LM with normals (paper)"] < near["LM (paper)"]
-    assert near["handsight with normals"] < near["handsight"]
-    # Over both shapes the angle falls from 13.4 to 5.1° between the ends, with an error of 1.6° for 20 grasps.
-    angle = [column(tables["claims_w_n"], "mae_deg", w_n_cm=w).mean() for w in ("0.5", "50")]
-    assert angle[1] < angle[0]
-    # Ten times as long: no noise of a shared machine turns that.
-    times = [
-        column(tables["claims_speed"], "median_us", task="evaluate", points="32000", way=way)
-        for way in ("contacts moved", "cloud moved")
-    ]
-    assert times[0] < times[1]
-    assert np.isfinite(column(tables["claims_minima"], "cheapest_symmetric_mm")).all()
-
-
-EDGE_METHODS = ("LM (paper)", "LM with normals (paper)", "handsight", "handsight with normals")
 
 
 # Equation 8
@@ -140,20 +101,3 @@ def test_eq_8_finds_the_centre_from_any_of_the_four_squares_however_turned(angle
         assert np.linalg.norm(p2 - centre) == pytest.approx(0.05)
         assert np.linalg.norm(p1 - centre) == pytest.approx(0.05 * np.sqrt(2))
         np.testing.assert_allclose(grasp_errors.centre_from_corners(p1, p2), centre, atol=1e-15)
-
-
-def test_swapped_corners_put_the_centre_on_the_other_side_of_the_edge():
-    for p1, p2 in grasp_errors.corners(np.zeros(2), 0.4, side=1.0):
-        wrong = grasp_errors.centre_from_corners(p2, p1)
-        assert np.linalg.norm(wrong) == pytest.approx(np.sqrt(5))
-        across = grasp_errors.QUARTER_TURN @ (p1 - p2)
-        assert across @ (0 - p2) > 0 > across @ (wrong - p2)
-
-
-def test_eq_8_takes_stacks_and_follows_the_table():
-    rng = np.random.default_rng(0)
-    p1, p2 = rng.normal(size=(2, 5, 2))
-    c, s = np.cos(0.7), np.sin(0.7)
-    R, t = np.array([[c, -s], [s, c]]), np.array([1.0, 2.0])
-    moved = grasp_errors.centre_from_corners(p1 @ R.T + t, p2 @ R.T + t)
-    np.testing.assert_allclose(moved, grasp_errors.centre_from_corners(p1, p2) @ R.T + t, atol=1e-14)

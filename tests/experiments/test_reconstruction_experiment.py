@@ -5,14 +5,14 @@ Bounds leave room for the few trials of `--quick`.
 
 import pytest
 
-from experiments.experiment_runs import column, run
-from reconstruction import of_real_frames
+from experiments.sight.reconstruction import of_real_frames
 from testbed import real_frames, ycb
+from testbed.experiment_runs import column, run
 
 
 @pytest.mark.slow
 def test_reconstructions_are_within_their_targets(tmp_path):
-    rows = run("reconstruction", tmp_path, "--quick", "--grasps", 1)["reconstruction"]
+    rows = run("sight.reconstruction", tmp_path, "--quick")["reconstruction"]
     assert {row["object"] for row in rows} == {"can", "box"}
     # Millimetres, the camera's constant error among them.
     assert column(rows, "mean mm", motion="given").mean() < 1.2

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
-import weight
+from experiments.tracking import weight
 
 
 def test_the_weight_locates_the_box_after_the_tilt():

@@ -4,13 +4,12 @@ Bounds leave room for the few trials of `--quick`; the figures of the full runs 
 """
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.experiment_runs import column, printed, run
+from testbed.experiment_runs import column, printed, run
 
 NAMED = os.environ.get("HANDSIGHT_DATA")
 DATA = Path(NAMED) if NAMED else Path(__file__).parents[3] / "shared" / "data"
@@ -19,17 +18,7 @@ needs_data = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "three_finger_contacts",
-        "vision_errors",
-        "holding",
-        "sight_first_pose",
-        "sight_recognition",
-        "sight_tracking",
-    ],
-)
+@pytest.mark.parametrize("name", ["data.three_finger_contacts", "data.vision_errors", "sight.recognition"])
 def test_without_data_an_experiment_says_so_and_ends_well(name, tmp_path, monkeypatch):
     empty, output = tmp_path / "empty", tmp_path / "output"
     empty.mkdir()
@@ -44,7 +33,7 @@ def test_without_data_an_experiment_says_so_and_ends_well(name, tmp_path, monkey
 @needs_data
 def test_three_touches_improve_on_vision_and_alone_find_the_neighbourhood(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(DATA))
-    rows = run("three_finger_contacts", tmp_path, "--quick")["three_finger_contacts"]
+    rows = run("data.three_finger_contacts", tmp_path, "--quick")["three_finger_contacts"]
     assert len(rows) == 10 * (1 + 3 * 2)
     for level in ("1 cm, 5°", "3 cm, 10°", "5 cm, 15°"):
         before, after = (column(rows, f"{whose}_adi_mm", vision=level).mean() for whose in ("vision", "best"))
@@ -59,7 +48,7 @@ def test_three_touches_improve_on_vision_and_alone_find_the_neighbourhood(tmp_pa
 @needs_data
 def test_touch_corrects_real_vision_errors_and_seldom_harms(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(DATA))
-    rows = run("vision_errors", tmp_path, "--quick")["vision_errors"]
+    rows = run("data.vision_errors", tmp_path, "--quick")["vision_errors"]
     assert len(rows) == 12 * 8 * 4 * 2
     targets = {"CosyPose": 2.3, "PoseCNN": 2.8, "AAE": 3.3, "PoseCNN+ICP": 2.4}
     for estimator, target in targets.items():
@@ -71,35 +60,3 @@ def test_touch_corrects_real_vision_errors_and_seldom_harms(tmp_path, monkeypatc
         assert (five > before + 1).mean() < 0.1, estimator
         if estimator != "PoseCNN+ICP":  # already a millimetre off: there touch has little to add
             assert np.median(five) < np.median(three) < np.median(before), estimator
-
-
-@pytest.mark.slow
-@needs_data
-def test_an_object_is_tracked_while_a_hand_closes_and_a_jugs_hidden_handle_is_uncertain(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setenv("HANDSIGHT_DATA", str(DATA))
-    found = run("sight_tracking", tmp_path, "--quick")
-    rows = found["sight_tracking"]
-    for method in ("handsight", "in palm"):
-        seen = column(rows, "hidden", method=method) < 0.6
-        assert np.median(column(rows, "mm", method=method)[seen]) < 3
-        assert np.median(column(rows, "deg", method=method)[seen]) < 1.5
-        assert np.median(column(rows, "ms", method=method)) < 20
-    jug = [
-        row for row in found["sight_tracking_jug"] if row["method"] == "handsight" and row["off"] == "True"
-    ]
-    assert jug
-    assert np.mean([row["state"] == "uncertain" for row in jug]) > 0.9
-
-
-@pytest.mark.slow
-@needs_data
-def test_first_poses_are_right_without_a_guess(tmp_path, monkeypatch):
-    if find_spec("gymnasium_robotics") is None:
-        pytest.skip("the Shadow hand's files come with handsight[sim]")
-    monkeypatch.setenv("HANDSIGHT_DATA", str(DATA))
-    rows = run("sight_first_pose", tmp_path, "--quick")["sight_first_pose"]
-    assert len(rows) == 6 * 3
-    assert (column(rows, "add_s") < 0.1).mean() > 0.8
-    assert (column(rows, "mssd 3") < 0.1).mean() > 0.7

@@ -66,3 +66,30 @@ class Clock:
             )
             answers.append(self.detector.update(self.now, self.fingers, loads + noise))
         return answers
+
+
+def push(mu, rng, noise=0.02, rate=250.0):
+    """Loads (n, 5) of one finger that pushes an object, and whether it slides (n,).
+
+    It sticks at several ratios, some near the cone, then slides straight along; its normal force and the friction vary,
+    and readings have the noise of a force and torque sensor [N].
+    """
+    ratios, slides = [], []
+    for _ in range(3):
+        for level, seconds in ((rng.uniform(0.2, 0.6), 0.6), (rng.uniform(0.6, 0.85), 0.4), (1.0, 1.2)):
+            n = round(seconds * rate)
+            ratios.append(np.linspace(ratios[-1][-1] if ratios else 0.0, level, 10))
+            ratios.append(level * (1 + 0.02 * _smooth(rng, n)))
+            slides += [False] * 10 + [level == 1.0] * n
+    ratio = mu * np.concatenate(ratios)
+    normal = rng.uniform(2, 4) * np.exp(0.2 * _smooth(rng, len(ratio)))
+    loads = np.zeros((len(ratio), 5))
+    loads[:, 0] = ratio * normal
+    loads[:, 3] = normal
+    loads += noise * rng.normal(size=loads.shape) * [1, 1, 0, 1, FRICTION.torsion]
+    return loads, np.array(slides)
+
+
+def _smooth(rng, n, window=40):
+    """(n,) of unit variance, each like those up to `window` samples away."""
+    return np.convolve(rng.normal(size=n + window - 1), np.full(window, window**-0.5), "valid")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import savgol_filter
 
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig
 from forces.test_weigher import weighed
 from handsight.errors import InvalidInput
-from handsight.forces import LOADS, Weigher, calibrate_sensors, read_in_air
-from handsight.forces.loads import _second_derivative
+from handsight.forces import Weigher, calibrate_sensors, read_in_air
+from handsight.forces.loads import MAX_BIAS
+from testbed.refusals import refused
 
 
 def moving(held, bend=0.2, count=21):
@@ -38,7 +38,7 @@ def test_the_reading_of_a_tip_that_may_touch_something_is_no_bias():
     held = Held(noise=1.0)
     assert np.isnan(read_in_air(rig(), moving(held))[[0, 1, 4]]).all()  # these hold the object
     assert np.isnan(read_in_air(rig(), moving(held, bend=0.0))).all()
-    large = Held(biases=biased([LOADS.max_bias, 0.1, 0]), noise=1.0)
+    large = Held(biases=biased([MAX_BIAS, 0.1, 0]), noise=1.0)
     assert np.isnan(read_in_air(rig(), moving(large))[2]).all()
     changing = moving(held)
     for k, seen in enumerate(changing):
@@ -59,10 +59,6 @@ def test_a_bias_that_was_read_in_the_air_is_subtracted_and_reported():
     assert weigher.believed.mass == pytest.approx(MASS, rel=3e-3)
     assert np.linalg.norm(weigher.believed.center_palm - CENTER) < 1e-3
     assert abs(weighed(Weigher(rig()), held).weighing.mass / MASS - 1) > 0.01
-
-
-def test_no_bias_is_reported_with_a_good_calibration():
-    assert listened(Held(noise=1.0), Weigher(rig())).biased == ()
 
 
 ORIENTATIONS = [np.zeros(3), *(sign * 1.5 * np.eye(3)[axis] for axis in range(3) for sign in (1, -1))]
@@ -90,14 +86,5 @@ def test_what_a_calibration_leaves_becomes_the_sensors_sigma():
 
 
 def test_a_sensor_that_was_not_turned_cannot_be_calibrated():
-    with pytest.raises(InvalidInput, match="^finger ff: gravities: expected at least 3 orientations, got 2"):
+    with refused(InvalidInput, "finger ff"):
         calibrate_sensors(rig(), in_the_air(0.0, ORIENTATIONS[:2]))
-
-
-def test_second_derivatives_are_those_of_savitzky_and_golay():
-    """And exactly those of a cubic, up to both ends."""
-    for n, length in ((5, 5), (8, 7), (25, 11)):
-        found = _second_derivative(n, length)
-        np.testing.assert_allclose(found, savgol_filter(np.eye(n), length, 3, deriv=2, axis=0), atol=1e-10)
-        t = np.arange(n)
-        np.testing.assert_allclose(found @ (t**3 - 2 * t**2 + 5), 6 * t - 4, atol=1e-7)

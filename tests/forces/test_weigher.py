@@ -8,7 +8,6 @@ import pytest
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, contacts, rig, touched
 from handsight import se3
 from handsight.forces import Weigher, load_sum, moved_with_tips
-from handsight.forces.object_motion import small_motion
 
 JOINTS = len(rig().hand.moving)
 KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)
@@ -31,19 +30,6 @@ def test_an_object_is_weighed_as_the_hand_tilts():
     assert found.directions == 3
     assert found.mass == pytest.approx(MASS, rel=2e-3)
     assert np.linalg.norm(found.center_palm - CENTER) < 1e-3
-
-
-def test_a_window_is_weighed_one_observation_after_its_end_unless_the_object_was_released_by_then():
-    held, weigher = Held(), Weigher(rig())
-    *window, after, later = held.observations(TILTS[0], count=23)
-    assert not any(weigher.update(seen, *contacts(held), KNOWN) for seen in window)
-    assert weigher.update(after, *contacts(held), KNOWN)
-    assert not weigher.update(later, *contacts(held), KNOWN)
-    other = Weigher(rig())
-    for seen in window:
-        other.update(seen, *contacts(held), KNOWN)
-    other.forget("nothing is grasped")
-    assert not other.update(after, *contacts(held), KNOWN)
 
 
 def test_one_orientation_is_counted_once_however_long_it_lasts():
@@ -206,21 +192,6 @@ def test_the_centre_of_mass_moves_with_the_grip():
         weigher.update(seen, *contacts(moved, bent), KNOWN)
     assert np.linalg.norm(center - CENTER) > 1e-3
     assert np.linalg.norm(weigher.believed.center_palm - center) < 1e-3
-
-
-def test_small_motions_are_those_of_a_rigid_body():
-    rng = np.random.default_rng(0)
-    points, v, w = rng.normal(size=(4, 3)), rng.normal(size=3), rng.normal(size=3)
-    found = small_motion(points, v + np.cross(w, points))
-    np.testing.assert_allclose(found[0], v, atol=1e-4)
-    np.testing.assert_allclose(found[1], w, atol=1e-4)
-
-
-def test_two_contacts_turn_nothing_about_their_line():
-    points = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    _, w = small_motion(points, np.array([[0.0, 0, 0.001], [0, 0, -0.001]]))
-    assert abs(w[0]) < 1e-12
-    assert w[1] == pytest.approx(0.02, rel=2e-3)
 
 
 @pytest.mark.parametrize("torque", [0.5, 3.0])

@@ -1,85 +1,56 @@
 """Files that are no robots are refused in one sentence; packages are found, and meshes may be missing."""
 
 import itertools
-import re
 import sys
-from pathlib import Path
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
+import trimesh
 
-from hand.hands import ROBOT, ROBOT_TIPS, SHADOW, data_file, shadow_file
+from hand.hands import ROBOT, ROBOT_TIPS, data_file
 from handsight.errors import InvalidFile, InvalidInput, MissingExtra
 from handsight.hand import Hand, HandWarning, find_file
+from testbed.refusals import refused
 
 pytest.importorskip("mujoco")
 
 ONE_JOINT = '<robot name="r"><link name="palm"/><link name="b"/><joint name="j" type="revolute"><parent link="palm"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
-MUJOCO = "r.xml: MuJoCo cannot make a robot of it: "
 BALL = "<mujoco><worldbody><body name='palm'><geom size='.1'/><body name='b'><joint %s/><geom size='.1'/></body></body></worldbody></mujoco>"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "r.xml: expected a URDF or an MJCF, got an empty file"),
-        (" \n", "r.xml: expected a URDF or an MJCF, got an empty file"),
-        ("palm: 1\n", "r.xml: expected XML (URDF or MJCF), got syntax error: line 1, column 0"),
-        (ROBOT[:1000].rpartition("<")[0], "r.xml: expected XML (URDF or MJCF), got no element found: line "),
-        ("<html/>", "r.xml: expected a URDF (<robot>) or an MJCF (<mujoco>), got <html>"),
-        ("<robot/>", "r.xml: expected a robot with links, got none"),
-        ("<mujoco/>", "r.xml: expected a robot with links, got none"),
-        (
-            '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="&a;"/>',
-            "r.xml: expected a document without DOCTYPE, got one",
-        ),
-        (
-            '<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:include filename="a"/></robot>',
-            "r.xml: expected a URDF, got a xacro file; `xacro r.xml` makes a URDF of it",
-        ),
-        ("<robot><link/></robot>", "r.xml: expected a name for each link, got none"),
-        (
-            '<robot><link name="a"/><joint name="j" type="fixed"/></robot>',
-            "r.xml: joint 'j': expected a parent, got none",
-        ),
-        (
-            ONE_JOINT.replace("revolute", "hinge"),
-            "r.xml: joint 'j': expected a type among revolute, continuous, prismatic, fixed, got 'hinge'",
-        ),
-        (
-            ONE_JOINT.replace("0 0 1", "0 0 nan"),
-            "r.xml: expected finite numbers for all links and joints, got xyz='0 0 nan', line 1",
-        ),
-        (
-            ONE_JOINT.replace("0 0 1", "0 0 x"),
-            MUJOCO + "XML Error: bad format in attribute 'xyz' Element 'axis', line 1",
-        ),
-        (
-            ONE_JOINT.replace("0 0 1", "0 0 0"),
-            MUJOCO + "Error: axis too small in joint Element name 'j', id 0",
-        ),
-        (
-            ONE_JOINT.replace('child link="b"', 'child link="c"'),
-            "r.xml: joint 'j': expected a link of the file as child, got 'c', line 1",
-        ),
-        (
-            "<mujoco><worldbody><bod/></worldbody></mujoco>",
-            MUJOCO + "XML Error: Schema violation: unrecognized element Element 'bod', line 1",
-        ),
-        (
-            BALL % "name='j' type='ball'",
-            "r.xml: expected hinges and slides on the way, got joint 'j' of 'b', which moves in more than one direction",
-        ),
-        (BALL % "type='hinge'", "r.xml: expected a name for each joint on the way, got none at 'b'"),
-    ],
-)
-def test_files_that_are_no_hands_are_refused(tmp_path, monkeypatch, text, message):
+NO_HANDS = [
+    ("", "empty"),
+    (" \n", "empty"),
+    ("palm: 1\n", "XML"),
+    (ROBOT[:1000].rpartition("<")[0], "XML"),
+    ("<html/>", "<html>"),
+    ("<robot/>", "links"),
+    ("<mujoco/>", "links"),
+    ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="&a;"/>', "DOCTYPE"),
+    ('<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:include filename="a"/></robot>', "`xacro r.xml`"),
+    ("<robot><link/></robot>", "a name for each link"),
+    ('<robot><link name="a"/><joint name="j" type="fixed"/></robot>', "joint 'j'"),
+    (ONE_JOINT.replace("revolute", "hinge"), "'hinge'"),
+    (ONE_JOINT.replace("0 0 1", "0 0 nan"), "xyz='0 0 nan'"),
+    (ONE_JOINT.replace("0 0 1", "0 0 x"), "MuJoCo"),
+    (ONE_JOINT.replace("0 0 1", "0 0 0"), "MuJoCo"),
+    (ONE_JOINT.replace('child link="b"', 'child link="c"'), "'c'"),
+    ("<mujoco><worldbody><bod/></worldbody></mujoco>", "MuJoCo"),
+    (BALL % "name='j' type='ball'", "more than one direction"),
+    (BALL % "type='hinge'", "a name for each joint"),
+]
+"""Files, and what is said of each, beside its name."""
+
+
+@pytest.mark.parametrize(("text", "said"), NO_HANDS)
+def test_files_that_are_no_hands_are_refused(tmp_path, monkeypatch, text, said):
     monkeypatch.chdir(tmp_path)  # where MuJoCo leaves its log
     (tmp_path / "r.xml").write_text(text)
     with pytest.raises((InvalidFile, InvalidInput)) as caught:
         Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
-    # MuJoCo's own words are its business, and change.
-    assert str(caught.value).startswith(MUJOCO if MUJOCO in message else message)
+    assert str(caught.value).startswith("r.xml: ")
+    assert said in str(caught.value)
 
 
 def chain(links, joints):
@@ -95,81 +66,39 @@ def chain(links, joints):
 MANY = [f"l{k}" for k in range(1001)]
 
 
+REPLICATED = "<replicate count='100'>" * 4 + "<body/>" + "</replicate>" * 4
+TOO_MUCH = [
+    (chain("abc", ["ab"]), "'a' and 'c', line 4"),
+    (chain("ab", ["ab", "ba"]), "circle of joints at 'a', line 2"),
+    (chain("abc", ["ab", "cc"]), "circle of joints at 'c', line 4"),
+    (chain("abc", ["ab", "ac", "cb"]), "joint 'j2'"),
+    (chain("ab", ["xb"]), "joint 'j0'"),
+    (chain("aba", ["ab"]), "'a' twice, line 4"),
+    (chain("abc", ["ab", "ac"]).replace("j1", "j0"), "'j0' twice, line 7"),
+    (chain(MANY[:300], list(itertools.pairwise(MANY[:300]))), "200 deep"),
+    (chain(MANY, []), "1000 links"),
+    ("<robot>" + "<link/>" * 60_000 + "</robot>", "50000 elements"),
+    ("<a>" * 500 + "</a>" * 500, "200 deep"),
+    (BALL % "name='j' axis='0 1e308 0'", "some length"),
+    (BALL % "name='j' pos='0 0 1e4'", "1000 m"),
+    (BALL.replace("<joint", "<include file='r.xml'/><joint") % "name='j'", "'r.xml' again"),
+    (BALL.replace("<joint", "<include file='none.xml'/><joint") % "name='j'", "'none.xml'"),
+    ("<mujoco><asset><model name='m' file='r.xml'/></asset></mujoco>", "<model>"),
+    (f"<mujoco><worldbody>{REPLICATED}</worldbody></mujoco>", "50000 elements"),
+    ("<mujoco><worldbody><replicate count='-1'><body/></replicate></worldbody></mujoco>", "replicate: "),
+]
+"""Files, and what is said of each, beside its name."""
+
+
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (chain("abc", ["ab"]), "expected one link that all others hang on, got 'a' and 'c', line 4"),
-        (chain("ab", ["ab", "ba"]), "expected a tree of links, got a circle of joints at 'a', line 2"),
-        (chain("abc", ["ab", "cc"]), "expected a tree of links, got a circle of joints at 'c', line 4"),
-        (
-            chain("abc", ["ab", "ac", "cb"]),
-            "joint 'j2': expected one parent for each link, got another for 'b', line 9",
-        ),
-        (
-            chain("ab", ["xb"]),
-            "joint 'j0': expected a link of the file as parent, got 'x', line 4",
-        ),
-        (chain("aba", ["ab"]), "expected each link once, got 'a' twice, line 4"),
-        (
-            chain("abc", ["ab", "ac"]).replace("j1", "j0"),
-            "expected each joint once, got 'j0' twice, line 7",
-        ),
-        (
-            chain(MANY[:300], list(itertools.pairwise(MANY[:300]))),
-            "expected elements and links at most 200 deep, got deeper",
-        ),
-        (chain(MANY, []), "expected a robot of at most 1000 links, got more"),
-        ("<robot>" + "<link/>" * 60_000 + "</robot>", "expected a robot of at most 50000 elements, got more"),
-        ("<a>" * 500 + "</a>" * 500, "expected elements and links at most 200 deep, got deeper"),
-        (BALL % "name='j' axis='0 1e308 0'", "expected axes and rotations of some length"),
-        (BALL % "name='j' pos='0 0 1e4'", "expected lengths within 1000 m, got 10000"),
-        (
-            BALL.replace("<joint", "<include file='r.xml'/><joint") % "name='j'",
-            "include: expected each file once, got 'r.xml' again, line 1",
-        ),
-        (
-            BALL.replace("<joint", "<include file='none.xml'/><joint") % "name='j'",
-            "include: expected a file, got 'none.xml', line 1",
-        ),
-        (
-            "<mujoco><asset><model name='m' file='r.xml'/></asset></mujoco>",
-            "expected a robot in one model with its includes, got <model>, line 1",
-        ),
-        (
-            "<mujoco><worldbody>"
-            + "<replicate count='100'>" * 4
-            + "<body/>"
-            + "</replicate>" * 4
-            + "</worldbody></mujoco>",
-            "expected a robot of at most 50000 elements, got more",
-        ),
-        (
-            "<mujoco><worldbody><replicate count='-1'><body/></replicate></worldbody></mujoco>",
-            "replicate: expected a count below a million, got '-1', line 1",
-        ),
-    ],
-    ids=lambda text: text[-60:] if text.startswith("<") else None,
+    ("text", "said"), TOO_MUCH, ids=lambda text: text[-60:] if text.startswith("<") else None
 )
-def test_what_would_bring_mujoco_down_is_refused_before_it_gets_it(tmp_path, text, message):
+def test_what_would_bring_mujoco_down_is_refused_before_it_gets_it(tmp_path, text, said):
     (tmp_path / "r.xml").write_text(text)
     with pytest.raises(InvalidFile) as caught:
         Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
-    assert str(caught.value).startswith(f"r.xml: {message}")
-
-
-@pytest.mark.parametrize(
-    "absurd",
-    [
-        "<size memory='1000G'/>",
-        "<size njmax='2000000000' nuser_body='2000000000' nkey='200000000'/>",
-        "<asset><texture name='t' type='2d' builtin='flat' width='100000' height='100000'/></asset>",
-        "<asset><hfield name='h' nrow='100000' ncol='100000' size='1 1 1 1'/></asset>",
-        "<worldbody><flexcomp name='f' type='grid' count='10000 1000 1000' spacing='1 1 1'/></worldbody>",
-    ],
-)
-def test_what_kinematics_does_not_ask_for_is_not_allocated(tmp_path, absurd):
-    (tmp_path / "r.xml").write_text((BALL % "name='j'").replace("<mujoco>", "<mujoco>" + absurd))
-    assert Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"}).moving == ("j",)
+    assert str(caught.value).startswith("r.xml: ")
+    assert said in str(caught.value)
 
 
 def test_what_an_mjcf_includes_is_part_of_it_and_errors_name_its_lines(tmp_path):
@@ -188,53 +117,21 @@ def test_what_an_mjcf_includes_is_part_of_it_and_errors_name_its_lines(tmp_path)
     assert (hand.moving, hand.missing_meshes) == (("j",), ())
     assert "palm" in hand.surface(50).bodies
     (tmp_path / "parts" / "arm.xml").write_text(arm.replace("size='.1'", "size='x'"))
-    with pytest.raises(InvalidFile, match=r"arm\.xml line 3$"):
+    with refused(InvalidFile, "r.xml"):
         Hand.from_file(tmp_path / "r.xml", palm="palm")
-
-
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no /dev/zero")
-def test_a_device_is_not_read(tmp_path):
-    with pytest.raises(InvalidFile, match="expected a file"):
-        Hand.from_file("/dev/zero", palm="palm")
-    (tmp_path / "r.xml").write_text(
-        (BALL % "name='j'").replace(
-            "<worldbody>", "<asset><mesh name='z' file='/dev/zero'/></asset><worldbody>"
-        )
-    )
-    assert Hand.from_file(tmp_path / "r.xml", palm="palm").missing_meshes == ("/dev/zero",)
 
 
 def test_a_document_type_is_refused_in_any_encoding(tmp_path):
     (tmp_path / "r.urdf").write_bytes(
         '<?xml version="1.0" encoding="utf-16"?><!DOCTYPE r><robot/>'.encode("utf-16")
     )
-    with pytest.raises(InvalidFile, match=r"^r.urdf: expected a document without DOCTYPE, got one$"):
+    with refused(InvalidFile, "r.urdf"):
         Hand.from_file(tmp_path / "r.urdf", palm="palm")
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("not_there.urdf", "not_there.urdf: expected a file, got none of that name"),
-        (".", "expected a file, got a folder"),
-        ("package://gymnasium_robotics/none.xml", "expected a file of the package, got none of that name"),
-        ("package://two_fingers/none.xml", "got none called 'two_fingers'"),
-        ("package:///etc/passwd", "got none called ''"),
-        ("package://../etc/passwd", "got none called '..'"),
-        ("package://a.b/none.xml", "got none called 'a.b'"),
-    ],
-)
-def test_a_file_that_is_not_there_is_reported(tmp_path, monkeypatch, name, message):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InvalidFile, match=re.escape(message) + "$"):
-        Hand.from_file(name, palm="palm")
 
 
 def test_without_mujoco_the_extra_is_named(robot_file, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(
-        MissingExtra, match=re.escape("two_fingers.urdf: needs MuJoCo: pip install 'handsight[robot]'")
-    ):
+    with refused(MissingExtra, "two_fingers.urdf"):
         Hand.from_file(robot_file, palm="palm")
 
 
@@ -270,51 +167,59 @@ def test_missing_visual_meshes_are_tolerated_and_counted(robot):
     assert robot.missing_meshes == ("package://two_fingers/meshes/not_there.stl", "meshes/palm.dae")
 
 
-def test_missing_collision_meshes_are_warned_of_once(robot_file):
-    text = ROBOT.replace('<box size="0.06 0.04 0.02"/>', '<mesh filename="box.stl"/>')
-    text = text.replace('<cylinder radius="0.008" length="0.04"/>', '<mesh filename="ascii.stl"/>')
-    robot_file.write_text(text)
-    (robot_file.parent / "ascii.stl").write_text("solid\nendsolid\n")
-    message = (
-        "two_fingers.urdf: 2 collision meshes left out, not there or neither OBJ nor binary STL: box.stl, ..."
-    )
-    with pytest.warns(HandWarning, match=f"^{re.escape(message)}$") as caught:
+def test_a_link_has_the_same_surface_from_every_format_of_its_mesh(robot_file):
+    mesh = trimesh.creation.box((0.06, 0.04, 0.02))
+    kinds = ["stl", "obj", "ply", "glb", "stl_ascii", "dae"]
+    for kind in kinds[: 5 + (find_spec("collada") is not None)]:
+        name = f"{kind}.{kind.removesuffix('_ascii')}"
+        data = mesh.export(file_type=kind)
+        (robot_file.parent / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+        robot_file.write_text(ROBOT.replace('<box size="0.06 0.04 0.02"/>', f'<mesh filename="{name}"/>'))
         hand = Hand.from_file(robot_file, palm="palm", tips=ROBOT_TIPS)
-    assert len(caught) == 1
-    assert caught[0].filename == __file__
-    assert hand.missing_meshes[2:] == ("box.stl", "ascii.stl")
+        assert name not in hand.missing_meshes
+        vertices = hand.link_meshes()["mount"].vertices
+        np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.06, 0.04, 0.02], atol=1e-7)
 
 
 def test_a_mesh_that_mujoco_cannot_read_is_reported(robot_file):
     robot_file.write_text(ROBOT.replace('<box size="0.06 0.04 0.02"/>', '<mesh filename="bad.obj"/>'))
     (robot_file.parent / "bad.obj").write_text("v 0 0 0\nf 1 2 9\n")
-    with pytest.raises(InvalidFile, match=r"^two_fingers.urdf: MuJoCo cannot make a robot of it: "):
+    with refused(InvalidFile, "two_fingers.urdf"):
         Hand.from_file(robot_file, palm="palm")
-
-
-def test_an_mjcf_without_its_meshes_still_has_its_kinematics(tmp_path):
-    text = BALL % "name='j'"
-    text = text.replace(
-        "<worldbody>", "<asset><mesh file='a.stl'/><mesh name='c' file='b.obj'/></asset><worldbody>"
-    )
-    (tmp_path / "r.xml").write_text(
-        text.replace("<geom size='.1'/>", "<geom type='mesh' mesh='a'/><geom type='mesh' mesh='c'/>")
-    )
-    hand = Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"})
-    assert hand.missing_meshes == ("a.stl", "b.obj")
-    np.testing.assert_allclose(hand.Ts_palm_tip({"j": 0.5})[0, 0, 0], np.cos(0.5))
-    assert len(hand.surface(10).points_body) == 0
-
-
-def test_the_name_of_the_file_stays_as_it_was_given(robot_file, robot):
-    shadow_file()
-    assert robot.file == str(robot_file)
-    assert Hand.from_file(SHADOW, palm="robot0:palm").file == SHADOW
 
 
 def test_no_file_of_the_allegro_hand_cut_short_is_taken_for_one(tmp_path):
     content = data_file("hands/allegro_hand/allegro_hand_right.urdf").read_bytes()
     for share in np.linspace(0.02, 0.98, 12):
         (tmp_path / "cut.urdf").write_bytes(content[: int(share * len(content))])
-        with pytest.raises(InvalidFile, match=r"^cut.urdf: expected XML"):
+        with refused(InvalidFile, "cut.urdf"):
             Hand.from_file(tmp_path / "cut.urdf", palm="palm")
+
+
+def test_a_package_is_found_by_the_name_in_its_manifest_and_a_model_of_gazebo_by_its_folder(
+    tmp_path, monkeypatch
+):
+    package = tmp_path / "my-fork-main"
+    (package / "meshes").mkdir(parents=True)
+    (package / "urdf").mkdir()
+    mesh = package / "meshes" / "a b.stl"
+    mesh.write_text("")
+    (package / "package.xml").write_text("<package format='3'><name>\n  hand_description </name></package>")
+    assert find_file("package://hand_description/meshes/a b.stl", package / "urdf") == mesh
+    assert find_file(f"file://{str(mesh).replace(' ', '%20')}") == mesh
+    with refused(InvalidFile, "package://other/meshes/a b.stl"):
+        find_file("package://other/meshes/a b.stl", package / "urdf")
+    model = tmp_path / "models" / "gripper" / "m.stl"
+    model.parent.mkdir(parents=True)
+    model.write_text("")
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(tmp_path / "models"))
+    assert find_file("model://gripper/m.stl", package) == model
+
+
+@pytest.mark.parametrize(("content", "said"), [(None, "are not there"), (b"broken", "cannot be read")])
+def test_collision_meshes_that_are_not_there_and_broken_ones_are_told_apart(robot_file, content, said):
+    if content is not None:
+        (robot_file.parent / "bad.stl").write_bytes(content)
+    robot_file.write_text(ROBOT.replace('<box size="0.06 0.04 0.02"/>', '<mesh filename="bad.stl"/>'))
+    with pytest.warns(HandWarning, match=said):
+        Hand.from_file(robot_file, palm="palm", tips=ROBOT_TIPS)

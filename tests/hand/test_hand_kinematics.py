@@ -1,7 +1,6 @@
 """Where the tips are and how they move, against yourdfpy, a product of exponentials and central differences."""
 
 import pickle
-import threading
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hand.hands import ALLEGRO_TIPS, SHADOW, SHADOW_TIPS, allegro_file, shadow_file, within_limits
+from hand.hands import ALLEGRO_TIPS, SHADOW_TIPS, allegro_file, shadow_file, within_limits
 from handsight import se3
 from handsight._kernels.math import chain
 from handsight.hand import Hand
@@ -96,17 +95,6 @@ def test_joints_with_anchors_references_and_several_to_a_body_are_where_a_produc
     assert hand.limits.tolist() == [[-np.inf, np.inf]] * 3
 
 
-@pytest.mark.parametrize("palm", ["robot0:palm", "robot0:ffmiddle"])
-def test_the_shadow_hands_tips_are_where_a_product_of_exponentials_has_them(palm, rng):
-    mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_path(str(shadow_file()))
-    hand = Hand.from_file(SHADOW, palm=palm, tips=SHADOW_TIPS)
-    for _ in range(5):
-        positions = within_limits(hand, rng)
-        expected = product_of_exponentials.poses_between(model, positions, palm, SHADOW_TIPS.values())
-        np.testing.assert_allclose(hand.Ts_palm_tip(positions), expected, atol=1e-13)
-
-
 def test_points_are_carried_with_the_bodies_they_are_fixed_on(shadow_hand, rng):
     Ts = shadow_hand.Ts_palm_tip(within_limits(shadow_hand, rng))
     bodies, points, carried = rng.integers(5, size=7), rng.normal(size=(7, 3)), np.empty((7, 3))
@@ -145,28 +133,6 @@ def test_the_jacobians_are_the_derivatives(shadow_hand, seed, reach):
     )
 
 
-def test_the_jacobians_of_slides_and_of_joints_above_the_palm_are_the_derivatives(robot_file, robot, rng):
-    assert_jacobians_are_derivatives(robot, within_limits(robot, rng), 0.1 * rng.normal(size=(2, 3)))
-    # Seen from a finger the other one, the mount and the base move: joints are passed towards their parents.
-    other = Hand.from_file(robot_file, palm="turning", tips={"sliding": "sliding", "base": "base"})
-    assert other.moving == ("shoulder", "lift", "knuckle", "jaw")
-    assert_jacobians_are_derivatives(other, within_limits(other, rng), 0.1 * rng.normal(size=(2, 3)))
-
-
-def test_a_joint_that_does_not_move_a_tip_has_a_column_of_zeros(shadow_hand, rng):
-    found = shadow_hand.kinematics(within_limits(shadow_hand, rng)).jacobians(rng.normal(size=(5, 3)))
-    moves = np.abs(found).max(axis=1) > 0
-    for i, finger in enumerate(shadow_hand.tips):
-        assert [name[7:9].lower() == finger for name in shadow_hand.moving] == moves[i].tolist()
-
-
-def test_points_can_be_on_any_of_the_tips(shadow_hand, rng):
-    pose, points = shadow_hand.kinematics(within_limits(shadow_hand, rng)), rng.normal(size=(5, 3))
-    every = pose.jacobians(points)
-    np.testing.assert_array_equal(pose.jacobians(points[[3, 1]], [3, 1]), every[[3, 1]])
-    assert pose.jacobians(np.zeros((0, 3)), []).shape == (0, 6, 22)
-
-
 def test_only_the_joints_between_palm_and_tips_are_needed(shadow_hand, rng):
     positions = within_limits(shadow_hand, rng)
     assert set(shadow_hand.joint_names) - set(shadow_hand.moving) == {"robot0:WRJ1", "robot0:WRJ0"}
@@ -193,24 +159,6 @@ def test_a_hand_without_tips_one_of_fixed_links_and_one_of_one_joint_have_poses(
     one = Hand.from_file(robot_file, palm="mount", tips={"s": "sliding"})
     np.testing.assert_allclose(one.Ts_palm_tip({"jaw": 0.01})[0, :3, 3], [-0.01, 0, 0.05], atol=1e-15)
     np.testing.assert_array_equal(one.Ts_palm_tip({"jaw": 1}), one.Ts_palm_tip({"jaw": 1.0}))
-
-
-def test_threads_may_share_a_hand(shadow_hand):
-    rng = np.random.default_rng(0)
-    cases = [within_limits(shadow_hand, rng) for _ in range(2)]
-    expected, wrong = [shadow_hand.Ts_palm_tip(case) for case in cases], []
-
-    def work(k):
-        wrong.extend(
-            1 for _ in range(2000) if not np.array_equal(shadow_hand.Ts_palm_tip(cases[k]), expected[k])
-        )
-
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong
 
 
 def test_a_hand_can_be_sent_to_another_process(shadow_hand, rng):

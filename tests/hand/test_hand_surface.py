@@ -1,15 +1,14 @@
 """Points on the hand's links lie on their shapes, spread by area, and move with them."""
 
-import re
-
 import numpy as np
 import pytest
 import trimesh
 
-from hand.hands import ROBOT, ROBOT_TIPS, SHADOW_TIPS, shadow_file, within_limits
+from hand.hands import ROBOT, SHADOW_TIPS, shadow_file, within_limits
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
+from testbed.refusals import refused
 
 GOOD = {"knuckle": 0.5, "jaw": 0.01}
 
@@ -64,7 +63,7 @@ def test_points_move_with_their_links(robot):
     Ts = by_body[found.body_of]
     expected = np.einsum("mij,mj->mi", Ts[:, :3, :3], found.points_body) + Ts[:, :3, 3]
     np.testing.assert_allclose(found.points_palm(positions), expected, atol=1e-14)
-    with pytest.raises(InvalidInput, match=r"^joint_positions: expected a position for jaw; got knuckle$"):
+    with refused(InvalidInput, "joint_positions"):
         found.points_palm({"knuckle": 1.1})
 
 
@@ -88,9 +87,7 @@ def test_bodies_can_be_left_out(shadow_hand, rng):
     found = shadow_hand.surface(400, without=tips)
     assert not tips & set(found.bodies)
     assert len(found.points_palm(within_limits(shadow_hand, rng))) == 400
-    with pytest.raises(
-        InvalidInput, match=re.escape("got 'ffdistal'; the nearest valid one is 'robot0:ffdistal'")
-    ):
+    with refused(InvalidInput, "without"):
         shadow_hand.surface(400, without=["ffdistal"])
 
 
@@ -122,30 +119,6 @@ def test_the_shadow_hands_points_are_inside_its_collision_shapes(shadow_hand, rn
     assert np.median(depths) == pytest.approx(0.001, abs=1e-4)
 
 
-def test_the_seed_fixes_the_points(robot):
-    first, same, other = robot.surface(50), robot.surface(50), robot.surface(50, seed=1)
-    np.testing.assert_array_equal(first.points_body, same.points_body)
-    assert np.abs(first.points_body - other.points_body).max() > 1e-3
-
-
-def test_two_meshes_of_one_name_and_one_mesh_in_two_scales_stay_apart(tmp_path):
-    small, large = trimesh.creation.box((0.02, 0.02, 0.02)), trimesh.creation.box((0.1, 0.1, 0.1))
-    for folder, mesh in (("a", small), ("b", large)):
-        (tmp_path / folder).mkdir()
-        mesh.invert()  # inside out, as some files are
-        mesh.export(tmp_path / folder / "link.STL")
-    link = '<link name="{0}"><collision><geometry><mesh filename="{1}/link.STL" {2}/></geometry></collision></link>'
-    joint = '<joint name="{0}" type="fixed"><parent link="palm"/><child link="{0}"/></joint>'
-    links = [link.format("palm", "a", ""), link.format("x", "b", ""), link.format("y", "a", 'scale="3 3 3"')]
-    text = f'<robot name="r">{"".join(links)}{joint.format("x")}{joint.format("y")}</robot>'
-    (tmp_path / "robot.urdf").write_text(text)
-    found = Hand.from_file(tmp_path / "robot.urdf", palm="palm").surface(3000, shrink=0.0)
-    sizes = [np.ptp(found.points_body[found.body_of == i], axis=0) for i in range(3)]
-    np.testing.assert_allclose(sizes, np.outer([0.02, 0.1, 0.06], np.ones(3)), rtol=1e-6)
-    outward = np.einsum("mi,mi->m", found.points_body, found.normals)
-    assert (outward > 0).all()
-
-
 ALL_SHAPES = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="palm">
   <geom type="sphere" size=".01"/><geom type="capsule" size=".01 .02" pos=".1 0 0"/>
   <geom type="ellipsoid" size=".01 .02 .03" pos=".2 0 0" euler="0 90 0"/>
@@ -171,26 +144,15 @@ def test_every_kind_of_shape_is_sampled_where_it_stands(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("call", "field"),
     [
-        ({"count": -1}, "count: expected a whole number from 0 on, got -1"),
-        ({"count": 2.5}, "count: expected a whole number from 0 on, got 2.5"),
-        ({"count": True}, "count: expected a whole number from 0 on, got True"),
-        ({"count": 5, "shrink": np.nan}, "shrink: expected a finite number, got nan"),
-        (
-            {"count": 5, "without": ["turnin"]},
-            "without: expected a body of two_fingers.urdf, got 'turnin'; the nearest valid one is 'turning'",
-        ),
+        ({"count": -1}, "count"),
+        ({"count": 2.5}, "count"),
+        ({"count": True}, "count"),
+        ({"count": 5, "shrink": np.nan}, "shrink"),
+        ({"count": 5, "without": ["turnin"]}, "without"),
     ],
 )
-def test_what_cannot_be_sampled_is_refused(robot, call, message):
-    with pytest.raises(InvalidInput, match=f"^{re.escape(message)}$"):
+def test_what_cannot_be_sampled_is_refused(robot, call, field):
+    with refused(InvalidInput, field):
         robot.surface(**call)
-
-
-def test_none_of_it_needs_a_shape(tmp_path, robot_file):
-    assert robot_file.exists()
-    hand = Hand.from_file(robot_file, palm="palm", tips=ROBOT_TIPS)
-    nothing = hand.surface(10, without=["mount", "turning", "sliding"])
-    assert nothing.points_palm({}).shape == (0, 3)
-    assert hand.surface(0).points_palm({}).shape == (0, 3)

@@ -5,12 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import trimesh
 
-from handsight._kernels.math.spreading import snapped, spread_out
 from handsight.objects import ObjectModel
-from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
-from handsight.objects.meshes.mesh_geometry import linked
+from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding
 from objects.object_shapes import box_mesh, divided, prism, triangles
 from oracles import fields as field_oracle
 from oracles import meshes as oracle
@@ -102,16 +99,6 @@ def test_closest_points_are_those_of_trying_every_triangle(name, rng):
     np.testing.assert_allclose(near.distance, found.distance[index], rtol=0, atol=CLOSE.get(name, TINY))
 
 
-@pytest.mark.parametrize("name", ["box", "prism", "bumpy", "one"])
-def test_closest_points_are_those_of_trimesh(name, rng):
-    mesh = shape(name)
-    points = around(mesh, rng)[:300]
-    each = np.repeat(points, len(mesh.faces), axis=0)
-    nearest = trimesh.triangles.closest_point(np.tile(mesh.corners, (len(points), 1, 1)), each)
-    gap = np.linalg.norm(nearest - each, axis=1).reshape(len(points), -1).min(axis=1)
-    np.testing.assert_allclose(ClosestPointSearch(mesh).closest(points)[0].distance, gap, rtol=0, atol=TINY)
-
-
 @pytest.mark.parametrize("name", ["box", "bumpy"])
 def test_closest_points_on_edges_and_at_corners_have_weights_of_exactly_zero(name, rng):
     mesh = shape(name)
@@ -122,35 +109,6 @@ def test_closest_points_on_edges_and_at_corners_have_weights_of_exactly_zero(nam
     assert same.mean() > 0.4  # a convex edge belongs to two
     np.testing.assert_array_equal((found.weights == 0)[same], (weights == 0)[same])
     np.testing.assert_allclose(found.weights[same], weights[same], atol=1e-9)
-
-
-def test_no_points_have_no_closest_points():
-    found, index = ClosestPointSearch(shape("box")).closest(np.empty((0, 3)))
-    assert len(index) == len(found.distance) == 0
-
-
-def test_a_tree_holds_every_thing_once_in_boxes_around_it(rng):
-    centers = rng.normal(size=(1001, 3))
-    tree = box_tree(centers, 16)
-    np.testing.assert_array_equal(np.sort(tree.order), np.arange(1001))
-    sizes = np.diff(tree.starts)
-    assert 1 <= sizes.min() <= sizes.max() <= 16
-    x = centers[tree.order]
-    bounds = tree.boxes(x, x)
-    count = len(sizes)
-    assert len(bounds) == 2 * count - 1
-    for k in range(len(bounds)):
-        first = last = k
-        while first < count - 1:
-            first, last = 2 * first + 1, 2 * last + 2
-        own = x[tree.starts[first - count + 1] : tree.starts[last - count + 2]]
-        np.testing.assert_array_equal(bounds[k], [*own.min(axis=0), *own.max(axis=0)])
-
-
-def test_things_in_one_place_are_halved_too():
-    tree = box_tree(np.zeros((100, 3)), 16)
-    np.testing.assert_array_equal(np.sort(tree.order), np.arange(100))
-    assert np.diff(tree.starts).max() <= 16
 
 
 @pytest.mark.parametrize("name", ["box", "prism", "bumpy", "needle", "one"])
@@ -180,61 +138,6 @@ def test_winding_numbers_of_clouds_are_sums_of_dipoles(rng):
     asked = np.vstack([rng.uniform(-0.08, 0.08, (400, 3)), points[:20], [[5.0, 0, 0]]])
     expected = oracle.winding(asked, winding.patches, winding.elements)
     np.testing.assert_allclose(winding.at(asked), expected, rtol=0, atol=1e-9)
-
-
-def same_partition(a, b):
-    """Two labellings name the same sets."""
-    pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
-    return pairs == len(np.unique(a)) == len(np.unique(b))
-
-
-@pytest.mark.parametrize("limit", [0.0, 0.8, 1.2, np.inf])
-@pytest.mark.parametrize("grid", [(7, 8, 9), (1, 1, 40), (12, 1, 5), (1, 1, 1)])
-@pytest.mark.parametrize("part", [1.0, 0.6])
-def test_nodes_hang_together_as_the_components_of_their_graph(limit, grid, part, rng):
-    count = int(np.prod(grid))
-    index = np.flatnonzero(rng.random(count) < part)
-    distance, free = rng.random(len(index)), rng.random(len(index)) < 0.9
-    label = linked(index, grid, distance, free, limit)
-    assert same_partition(label, oracle.linked(index, grid, distance, free, limit))
-    # Sets are counted in the order of their first nodes.
-    first = np.unique(label, return_index=True)[1]
-    assert (np.diff(first) > 0).all()
-
-
-def cost(features, chosen):
-    return ((features[:, None] - chosen) ** 2).sum(axis=2).min(axis=1).sum()
-
-
-@pytest.mark.parametrize("steps", [0, 1, 12])
-def test_points_are_spread_by_farthest_points_and_lloyds_steps(steps, rng):
-    features = np.hstack([rng.uniform(-0.05, 0.05, (1500, 3)), 0.01 * rng.normal(size=(1500, 3))])
-    chosen, expected = spread_out(features, 60, steps), oracle.spread_out(features, 60, steps)
-    np.testing.assert_allclose(chosen, expected, rtol=0, atol=1e-12)
-
-
-def test_points_of_a_lattice_are_spread_as_well_whatever_rounding_chooses():
-    """Many are equally far: rounding chooses among them."""
-    axis = np.linspace(-0.05, 0.05, 12)
-    places = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    features = np.hstack([places, np.zeros_like(places)])
-    found, expected = (cost(features, way(features, 50, 12)) for way in (spread_out, oracle.spread_out))
-    assert found == pytest.approx(expected, rel=0.05)
-
-
-def test_places_are_snapped_to_the_nearest_points_not_yet_taken(rng):
-    features, middles = rng.normal(size=(500, 6)), rng.normal(size=(200, 6))
-    middles[:50] = features[0]  # all ask for the same
-    index = snapped(features, middles)
-    np.testing.assert_array_equal(index, oracle.snapped(features, middles))
-    assert len(set(index)) == 200
-    np.testing.assert_array_equal(np.sort(snapped(features, features[::-1].copy())), np.arange(500))
-
-
-def test_as_many_places_as_points_are_these_points(rng):
-    features = rng.normal(size=(20, 6))
-    chosen = spread_out(features, 20, 3)
-    assert cost(chosen, features) == pytest.approx(0, abs=1e-20)
 
 
 def test_several_threads_at_once_are_answered_as_one_is(rng):
@@ -281,14 +184,3 @@ def test_fields_are_evaluated_by_their_definitions(rng):
                 assert found.shape == expected.shape
                 np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
     assert [v.shape for v in mesh.evaluate(np.empty((0, 3)))] == [(0,), (0, 3), (0, 3, 3)]
-
-
-def test_closest_points_and_winding_numbers_take_any_layout_of_points(rng):
-    mesh = shape("box")
-    search, winding = ClosestPointSearch(mesh), Winding.of_mesh(mesh)
-    points = rng.uniform(-0.1, 0.1, (50, 3))
-    still = points.copy()
-    still.flags.writeable = False
-    for same in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], still):
-        np.testing.assert_array_equal(search.closest(same)[0].distance, search.closest(points)[0].distance)
-        np.testing.assert_array_equal(winding.at(same), winding.at(points))

@@ -1,14 +1,13 @@
 """The smoother's kernels against slow and plain oracles."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight import se3
+from handsight._kernels.jit import entry
 from handsight._kernels.posterior import pose_bias
 from handsight._kernels.records import MEASUREMENT
-from kept_kernels import kept
 from oracles import pose_bias as oracle
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -17,7 +16,7 @@ DRIFT = np.array([0.01**2, 0.05**2, 2.0])
 SAME = np.array([0.01, 0.03, 0.5])
 
 
-@kept
+@entry
 def rows_of(Ts, latency, pivot, measurement, rows):
     pose_bias.linearize(Ts, latency, (pivot[0], pivot[1], pivot[2]), measurement[0], rows)
 
@@ -51,14 +50,6 @@ def test_the_rows_are_the_derivative_of_what_vision_should_measure_and_how_far_i
     np.testing.assert_allclose(rows[:, 19], off, atol=1e-12)
 
 
-@given(SEEDS)
-def test_the_mahalanobis_distance_is_that_of_the_prediction(seed):
-    Ts, rest, covariance, pivot, measurements = some(np.random.default_rng(seed), 1)
-    expected = oracle.mahalanobis2(Ts, rest, covariance, pivot, measurements[0])
-    found = pose_bias.distance2(Ts, rest, covariance, pivot, measurements)
-    assert found == pytest.approx(expected, rel=1e-6)
-
-
 @settings(max_examples=10)
 @given(SEEDS, st.integers(1, 4))
 def test_the_posterior_is_that_of_a_dense_gaussian_with_an_exponential_covariance(seed, count):
@@ -80,37 +71,6 @@ def test_the_posterior_is_that_of_a_dense_gaussian_with_an_exponential_covarianc
     np.testing.assert_allclose(covariance / scale, spread / scale, atol=1e-5)
 
 
-@given(SEEDS)
-def test_neighbours_from_nearly_one_palm_become_one_that_says_what_both_did(seed):
-    """Innovations weighted by their information, in the older's palm, of when the newer came."""
-    rng = np.random.default_rng(seed)
-    Ts, rest, _, pivot, measurements = some(rng, 4)
-    measurements["T_mount_palm"][3] = se3.moved(
-        measurements["T_mount_palm"][2], np.array([0.004, 0, 0.003, 0, 0.01, 0])
-    )
-    measurements["time"][3], measurements["drift_gain"][2:] = measurements["time"][2] + 0.1, (0.9, 0.8)
-    old, new, rows = measurements[2].copy(), measurements[3].copy(), measurements.copy()
-    assert pose_bias.merge(rows, 48, SAME, Ts, rest[6], pivot, DRIFT) == 3
-    np.testing.assert_array_equal(rows[:2], measurements[:2])
-    R = oracle.palm(old, rest[6])[:3, :3]
-    grown = new["process_noise"] - old["process_noise"]
-    left = 0.9 * np.exp(-0.1 / DRIFT[2])
-    apart = (0.9**2 - left**2) * np.diag(np.repeat(DRIFT[:2], 3))
-    before = old["covariance"] + apart + se3.rotate_covariance(R, np.diag(grown))
-    A, B = np.linalg.inv(before), np.linalg.inv(new["covariance"])
-    at = [oracle.expected(Ts, pivot, oracle.palm(one, rest[6])) for one in (old, new)]
-    a, b = (se3.difference(one["T_mount_object"], T) for one, T in zip((old, new), at, strict=True))
-    mean, after = np.linalg.solve(A + B, A @ a + B @ b), np.linalg.inv(A + B)
-    np.testing.assert_allclose(rows[2]["covariance"], after, atol=1e-9)
-    np.testing.assert_allclose(rows[2]["T_mount_object"], se3.moved(at[0], mean), atol=1e-9)
-    np.testing.assert_allclose(rows[2]["T_mount_palm"], oracle.palm(old, rest[6]), atol=1e-12)
-    np.testing.assert_array_equal(rows[2]["process_noise"], new["process_noise"])
-    assert (rows[2]["began"], rows[2]["time"]) == (old["time"], new["time"])
-    share = 1 - np.trace(after) / np.trace(before)
-    np.testing.assert_allclose(rows[2]["drift_gain"], (1 - share) * left + share * 0.8)
-    np.testing.assert_allclose(rows[2]["twist"], (1 - share) * old["twist"] + share * new["twist"])
-
-
 def test_measurements_from_palms_apart_or_long_ago_stay_until_they_are_too_many():
     Ts, rest, _, pivot, measurements = some(np.random.default_rng(0), 4)
     given_ = SAME, Ts, rest[6], pivot, DRIFT
@@ -120,11 +80,3 @@ def test_measurements_from_palms_apart_or_long_ago_stay_until_they_are_too_many(
     assert pose_bias.merge(measurements, 4, *given_) == 4
     np.testing.assert_array_equal(measurements[:3], before[:3])
     assert pose_bias.merge(measurements, 3, *given_) == 3
-
-
-def test_a_noise_that_is_no_covariance_is_reported():
-    Ts, rest, covariance, pivot, measurements = some(np.random.default_rng(0), 1)
-    measurements["covariance"] = -np.eye(6)
-    assert pose_bias.distance2(Ts, rest, covariance, pivot, measurements) == np.inf
-    given_ = Ts, rest, covariance, pivot, DRIFT, measurements
-    assert not pose_bias.smooth(*given_, Ts.copy(), rest.copy(), np.empty((19, 19)))

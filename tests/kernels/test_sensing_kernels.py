@@ -1,10 +1,5 @@
 """Contact sensing's kernels against plain NumPy."""
 
-import copy
-import pickle
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -13,7 +8,6 @@ from hypothesis.extra import numpy as hnp
 
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
-from handsight._kernels.touch import sensing as kernels
 from handsight.checks import MAX_LOAD
 from handsight.contact import (
     Contact,
@@ -115,29 +109,6 @@ def test_one_wrench_has_the_answer_it_has_among_many_to_the_bit():
                 np.testing.assert_array_equal(getattr(one, name), getattr(one_of_many, name))
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 31, 32, 33, 64, 95, 1000])
-def test_any_number_of_wrenches_is_answered(n):
-    F, M = any_wrenches(np.random.default_rng(n), TIP, n)
-    batch = contacts_from_wrenches(F, M, TIP, **OPTIONS)
-    plain = oracle.sense(F, M, TIP, SIGMAS)
-    assert_alike(batch, plain)
-    assert batch.covariances.shape == plain.covariances.shape
-
-
-def test_no_torque_about_the_normal_is_no_special_case():
-    rng = np.random.default_rng(2)
-    for tip in tips(rng)[:2]:
-        bare = Ellipsoid(tip.semi_axes)
-        truth = touches(rng, bare, 300, twist=0.0)
-        straight = truth.forces_normal[:, None] * truth.normals
-        for F in (truth.forces, straight):
-            M = np.cross(truth.points, F)
-            assert_alike(contacts_from_wrenches(F, M, bare), oracle.sense(F, M, bare, SIGMAS))
-    axis = contacts_from_wrenches([[0.0, 0, -1]], [[0.0, 0, 0]], TIP)
-    np.testing.assert_array_equal(axis.points, [[0, 0, 0.012]])
-    np.testing.assert_array_equal(axis.torques, [0])
-
-
 def test_a_grazing_wrench_is_off_the_cap_where_plain_numpy_says_so():
     ball = Sphere(0.01, min_force=1e-3)
     past = 10.0 ** np.arange(-16, 0)
@@ -186,48 +157,6 @@ def test_the_reason_is_that_of_plain_numpy_whatever_comes(wrenches, which):
     assert np.isfinite(batch.covariances).all()
 
 
-@pytest.mark.parametrize(
-    "limit",
-    [{"min_force": 1e4}, {"min_force": MAX_LOAD}, {"max_friction": 1000}, {"max_friction": 1e-200}],
-    ids=str,
-)
-def test_limits_of_any_size_are_kept(limit):
-    tip = Ellipsoid(PAPER_TIP, **limit)
-    rng = np.random.default_rng(4)
-    truth = touches(rng, TIP, 50)
-    for size in (1e-150, 1.0, 1e3, 1e4, 1e5, 1e306):
-        F, M = truth.forces * size, truth.torques * size
-        np.testing.assert_array_equal(
-            contacts_from_wrenches(F, M, tip).reasons, oracle.sense(F, M, tip, SIGMAS).reasons
-        )
-
-
-def test_any_array_of_numbers_is_read_and_none_compiles_the_kernels_again():
-    truth = touches(np.random.default_rng(5), TIP, 40)
-    F, M = truth.forces.astype(np.float32).astype(np.float64), truth.torques
-    expected = contacts_from_wrenches(F, M, TIP)
-    frozen = F.copy()
-    frozen.flags.writeable = False
-    unaligned = np.frombuffer(b"\0" + F.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(-1, 3)
-    for same in (
-        np.asfortranarray(F),
-        np.repeat(F, 2, axis=0)[::2],
-        F.astype(np.float32),
-        F.astype(">f8"),
-        F.tolist(),
-        frozen,
-        unaligned,
-    ):
-        np.testing.assert_array_equal(contacts_from_wrenches(same, M, TIP).points, expected.points)
-        one = contact_from_wrench(same[3], M[3], TIP)
-        np.testing.assert_array_equal(one.point, expected.points[3])
-    integers = contacts_from_wrenches([[0, 0, -1]], np.zeros((1, 3), dtype=np.int8), TIP)
-    np.testing.assert_array_equal(integers.points, [[0, 0, 0.012]])
-    _ = expected.covariances, pickle.loads(pickle.dumps(integers)).covariances
-    for kernel in (kernels.sense, kernels.sense_one, kernels.covariances):
-        assert len(kernel.signatures) == 1
-
-
 def test_what_comes_in_is_neither_changed_nor_kept():
     truth = touches(np.random.default_rng(6), TIP, 40)
     F, M = truth.forces.copy(), truth.torques.copy()
@@ -237,37 +166,3 @@ def test_what_comes_in_is_neither_changed_nor_kept():
     assert not any(np.shares_memory(getattr(batch, name), F) for name in FIELDS)
     batch.sigmas[:] = 1.0  # of this batch alone
     assert contacts_from_wrenches(F, M, TIP).sigmas[0] == 0.01
-
-
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda tip: pickle.loads(pickle.dumps(tip))])
-@pytest.mark.parametrize("tip", [TIP, Sphere(0.01, T_surface_sensor=np.eye(4))], ids=["ellipsoid", "sphere"])
-def test_a_copied_fingertip_senses_the_same(tip, again):
-    one, other = (contact_from_wrench([0, 0, -1], [0, 0, 1e-4], t) for t in (tip, again(tip)))
-    for name in Contact.__slots__:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert "record" not in repr(tip)
-
-
-def test_a_copied_contact_and_batch_say_the_same():
-    batch = contacts_from_wrenches([[0, 0, -1], [0, 0, 1]], np.zeros((2, 3)), TIP)
-    contact = contact_from_wrench([0, 0, -1], [0, 0, 0], TIP)
-    again, batch_again = pickle.loads(pickle.dumps((contact, batch)))
-    np.testing.assert_array_equal(again.covariance, contact.covariance)
-    np.testing.assert_array_equal(batch_again.covariances, batch.covariances)
-    assert batch_again[1] == batch[1]
-
-
-def test_few_contacts_among_many_wrenches_keep_little_memory():
-    F = np.zeros((10_000, 3))
-    F[::1000, 2] = -1
-    batch = contacts_from_wrenches(F, np.zeros_like(F), TIP)
-    assert batch.rows.tolist() == list(range(0, 10_000, 1000))
-    assert batch.records.base is None
-
-
-def test_the_kernels_are_imported_with_the_first_contact():
-    code = (
-        "import sys; from handsight.contact import Sphere, contact_from_wrench as find; tip = Sphere(0.01)\n"
-        "assert 'numba' not in sys.modules; find([0, 0, -1], [0, 0, 0], tip); assert 'numba' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,5 +1,6 @@
 """The demo's recordings, message by message, as a robot would send them."""
 
+from contextlib import closing
 from functools import lru_cache
 
 import numpy as np
@@ -31,8 +32,8 @@ def model(name="can"):
 @lru_cache
 def said(name="can", seconds=SECONDS):
     """The first messages of a recording."""
-    source = McapSource(DATA / f"{name}.mcap")
-    messages = list(source.messages(rig_topics(rig(name))))
+    with closing(McapSource(DATA / f"{name}.mcap")) as source:
+        messages = list(source.messages(rig_topics(rig(name))))
     return tuple(each for each in messages if each.log_time - messages[0].log_time <= seconds)
 
 

@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
-import tip_scenes
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally, replay
+from testbed import skin_scenes
 from tests.live.recorded import in_ros1, model, rig, said
 
 TYPES = {
@@ -31,8 +31,8 @@ def held():
     """The rig with taxels, and what they read."""
     wrenches, stream = rig(), ObservationStream(rig())
     observations = [seen for each in said() for seen in stream.put(each)] + stream.finish()
-    known, shapes = tip_scenes.with_taxels(wrenches, np.random.default_rng(0))
-    return known, tuple(tip_scenes.taxel_observations(known, shapes, observations, 5))
+    known, shapes = skin_scenes.with_taxels(wrenches, np.random.default_rng(0))
+    return known, tuple(skin_scenes.taxel_observations(known, shapes, observations, 5))
 
 
 def skin_rig(types=TYPES):

@@ -8,6 +8,7 @@ import pytest
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.live.answers import Writer
+from testbed.refusals import refused
 from tests.live.recorded import read
 
 
@@ -33,5 +34,5 @@ def test_poses_and_transforms_are_the_estimate_s(encoding):
 
 
 def test_a_stamp_that_a_message_cannot_hold_is_refused():
-    with pytest.raises(InvalidInput, match="stamp: expected seconds from 0 to"):
+    with refused(InvalidInput, "stamp"):
         Writer("cdr", "palm").transform(2.0**31, np.eye(4))

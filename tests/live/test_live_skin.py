@@ -49,34 +49,6 @@ def test_live_and_track_give_the_same_poses_and_contacts_of_taxels(expected, enc
     assert max(len(marker.points) for marker in drawn) >= 3
 
 
-def test_taxels_that_come_late_or_in_another_order_change_nothing(expected):
-    rng = np.random.default_rng(0)
-    late = [
-        each._replace(log_time=each.log_time + rng.uniform(0, 0.08))
-        for each in skin_messages()
-        if stamped(each)
-    ]
-    messages = sorted(
-        [*late, *(each for each in skin_messages() if not stamped(each))], key=lambda each: each.log_time
-    )
-    agree(answered(live(equal=True), messages, at_once=3), expected[0])
-
-
-def stamped(message):
-    """Whether a message has a time of its own: a plain array is timed by when it comes."""
-    return not message.type.endswith("MultiArray")
-
-
-def test_taxels_that_come_too_late_are_counted_and_left_out():
-    tracker, messages = live(), skin_messages()
-    last = messages[-1].log_time
-    old = [each for each in messages if each.topic == "/tactile"][:5]
-    answered(tracker, [*messages, *(each._replace(log_time=last + 0.001) for each in old)], at_once=20)
-    topic = reports(tracker)["/tactile"]
-    assert topic.late + topic.stale + topic.duplicated >= 5
-    assert topic.messages == topic.used + topic.late + topic.stale + topic.duplicated
-
-
 WRONG = {
     "/tactile": "expected 30 x 3 taxels, got 87 numbers",
     "/mf/taxels": "expected 30 x 3 taxels, got 87 numbers",

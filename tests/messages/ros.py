@@ -7,6 +7,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight import se3
 from handsight.contact import Sphere, WrenchCalibration
+from handsight.hand.couplings import Couplings
 from handsight.messages import ObservationStream, RawMessage
 from handsight.rig import Finger, MountedCamera, Rig, Topics
 
@@ -48,6 +49,7 @@ def rig(full_scale=None, joints=JOINTS, **topics):
         hand=SimpleNamespace(
             moving=joints,
             joint_names=joints,
+            couplings=Couplings({}),
             limits=np.tile([-np.inf, np.inf], (len(joints), 1)),
             tips=tips,
             Ts_palm_tip=lambda positions: apart,

@@ -50,7 +50,7 @@ def test_the_lens_is_that_of_the_message(lens, model, expected):
         ((K, (640, 480), RATIONAL, "plumb_bob"), "expected at most 5 numbers of a plumb_bob lens, got 8"),
         ((K, (640, 480), (*RATIONAL, 0.1, 0, 0, 0), "rational_polynomial"), "expected at most 8 numbers of a rational_polynomial lens, got 12"),
         ((K, (640, 480), (0.1, 0.2), "plumb_bob"), "lens: expected 0, 4, 5, 8 numbers, got 2"),
-        ((K, (640, 480), (np.nan,) * 5, "plumb_bob"), "the lens' numbers are not finite"),
+        ((K, (640, 480), (np.nan,) * 5, "plumb_bob"), "lens: expected finite numbers"),
         ((K, (0, 0)), "size: expected width and height above 0, got 0 x 0"),
         ((0 * K, (640, 480)), "expected focal lengths above 0, got an uncalibrated camera"),
         ((K + np.eye(3, k=1) * [0, 1, 0], (640, 480)), "matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got"),
@@ -81,15 +81,10 @@ def test_cropped_and_binned_images_show_the_same_points():
 
 def test_images_of_another_size_than_their_cameras_are_reported():
     depth = ("/depth", M.image(START + 0.1, np.full((48, 64), 1.0, "<f4"), "32FC1"))
-    rigs = "depth images on /depth: expected 640 x 480 pixels as the rig's camera has, got 64 x 48"
-    assert rigs in told(depth).lacks()
-    assert told(depth, info(K, (64, 48))).lacks()[-1:] == [
-        "camera info on /info: expected 640 x 480 pixels as the rig's camera has, got 64 x 48"
-    ]
-    assert (
-        "depth images on /depth: expected 640 x 480 pixels as CameraInfo says, got 64 x 48"
-        in told(depth, info(K, (640, 480))).lacks()
-    )
+    wrong = "depth images on /depth: expected 640 x 480 pixels as its camera's, got 64 x 48"
+    assert wrong in told(depth).lacks()
+    assert wrong in told(depth, info(K, (640, 480))).lacks()
+    assert not any("pixels" in said for said in told(depth, info(K, (64, 48))).lacks())
     right = ("/depth", M.image(START + 0.1, np.full((480, 640), 1.0, "<f4"), "32FC1"))
     assert not any("pixels" in said for said in told(right, info(K, (640, 480))).lacks())
     assert not any("pixels" in said for said in told(right, robot=rig(camera_info=None)).lacks())

@@ -102,20 +102,6 @@ def test_stamps_of_another_clock_are_shifted_and_reported(difference):
     assert any("/ff/wrench: stamps" in s and "another clock" in s for s in stream.report.sentences())
 
 
-def test_a_small_difference_of_clocks_is_reported_but_not_corrected():
-    rows = [row for row in touched(100) if row[0] != "/ff/wrench"]
-    rows += [("/ff/wrench", s + 0.3, M.wrench(s, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
-    observations, stream = heard(by_log(rows))
-    assert not stream.report.topics["/ff/wrench"].shifted
-    assert stream.report.topics["/ff/wrench"].late == 0
-    assert [seen.wrenches["ff"][0] for seen in observations] == pytest.approx(
-        [i / 100 for i in range(100)], abs=1e-6
-    )
-    assert "/ff/wrench: stamps +0.300 s off the joint states' clock, left as they are" in (
-        stream.report.sentences()
-    )
-
-
 @pytest.mark.parametrize("latency", [0.15, 0.9])
 def test_slow_vision_keeps_its_stamps(latency):
     poses = [
@@ -129,15 +115,6 @@ def test_slow_vision_keeps_its_stamps(latency):
     assert not stream.report.topics["/vision/object"].shifted
 
 
-def test_slow_vision_that_begins_after_the_first_second_loses_what_came_before_that_was_known():
-    poses = [("/vision/object", s + 1.9, M.pose(s, np.eye(4))) for s in grid(30, 10.0)]
-    observations, stream = heard(by_log([*joints(grid(600)), *poses]))
-    report = stream.report.topics["/vision/object"]
-    assert not report.shifted
-    assert report.late == 17
-    assert sum(seen.vision is not None for seen in observations) == 13
-
-
 def test_a_topic_without_stamps_is_timed_by_when_it_was_recorded():
     rows = [row for row in touched(100) if row[0] != "/ff/wrench"]
     rows += [("/ff/wrench", s, M.wrench(0.0, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
@@ -147,19 +124,6 @@ def test_a_topic_without_stamps_is_timed_by_when_it_was_recorded():
     )
     assert stream.report.topics["/ff/wrench"].duplicated == 0
     assert "/ff/wrench: no stamps (all 0); timed by when it was recorded" in stream.report.sentences()
-
-
-def test_no_stamps_at_all_are_as_good_as_log_times():
-    rows = [("/joint_states", s, M.joints(0.0)) for s in grid(50)]
-    observations, _ = heard(rows)
-    assert [seen.stamp for seen in observations] == pytest.approx(grid(50), abs=1e-6)
-
-
-def test_a_simulators_clock_may_begin_at_zero():
-    rows = [("/joint_states", s, M.joints(s - START)) for s in grid(50)]
-    observations, stream = heard(rows)
-    assert [seen.stamp for seen in observations] == pytest.approx([i / 100 for i in range(50)], abs=1e-6)
-    assert not any("/joint_states" in said for said in stream.report.sentences())
 
 
 def test_a_simulator_at_a_tenth_of_real_time_is_one_clock():
@@ -210,15 +174,23 @@ def test_a_recording_played_in_a_loop_begins_anew_each_time_and_says_so():
     )
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_one_or_two_stamps_far_back_are_late_and_begin_nothing(count):
+def test_one_stamp_far_back_is_left_out_and_begins_nothing():
     rows = joints(grid(100))
-    for k in range(count):
-        rows[50 + k] = ("/joint_states", rows[50 + k][1], M.joints(START - 100 + 0.01 * k))
+    rows[50] = ("/joint_states", rows[50][1], M.joints(START - 100))
     observations, stream = heard(rows)
-    assert len(observations) == 100 - count
-    assert stream.report.topics["/joint_states"].late == count
+    assert len(observations) == 99
+    assert stream.report.topics["/joint_states"].bad == 1
     assert stream.report.backwards is None
+
+
+def test_two_stamps_far_back_begin_anew_and_the_next_two_go_on():
+    rows = joints(grid(100))
+    for k in (50, 51):
+        rows[k] = ("/joint_states", rows[k][1], M.joints(START - 100 + 0.01 * k))
+    observations, stream = heard(rows)
+    assert len(observations) == 100
+    assert stream.report.topics["/joint_states"].bad == 0
+    assert stream.report.backwards[0] == 1
 
 
 def test_a_camera_that_is_more_than_a_second_late_takes_no_wrenches_from_a_live_robot():
@@ -241,17 +213,9 @@ def test_one_stamp_far_ahead_does_not_silence_what_follows():
     observations, stream = heard(rows)
     assert len(observations) == 99
     assert stream.report.topics["/joint_states"].bad == 1
-    assert "/joint_states: 1 of 100 messages left out: stamp far ahead of those before and after" in (
+    assert "/joint_states: 1 of 100 messages left out: stamp far from those before and after" in (
         stream.report.sentences()
     )
-
-
-def test_a_wrench_far_ahead_harms_nothing():
-    ahead = [("/ff/wrench", START + 0.305, M.wrench(START + 1e6, WRENCH))]
-    observations, stream = heard(by_log(touched(100) + ahead))
-    assert len(observations) == 100
-    assert all("ff" in seen.wrenches for seen in observations)
-    assert all(topic.late == 0 for topic in stream.report.topics.values())
 
 
 def test_joint_states_of_two_publishers_are_joined():
@@ -260,19 +224,6 @@ def test_joint_states_of_two_publishers_are_joined():
     assert len(observations) == 100
     assert all(set(seen.joint_positions) == {"j0", "j1", "j2", "arm0", "arm1"} for seen in observations[1:])
     assert stream.report.topics["/joint_states"].duplicated == 0
-
-
-def test_two_that_publish_joint_states_of_one_stamp_give_one_observation():
-    hand, arm = joints(grid(50)), joints(grid(50), names=("arm0", "arm1"))
-    observations, _ = heard(by_log(hand + arm))
-    assert len(observations) == 50
-    assert all(len(seen.joint_positions) == 5 for seen in observations)
-
-
-def test_the_order_of_the_joints_is_free():
-    rows = [("/joint_states", START, M.joints(START, ("j2", "x", "j0"), (3, 9, 1)))]
-    (seen,), _ = heard(rows)
-    assert seen.joint_positions == {"j2": 3.0, "x": 9.0, "j0": 1.0}
 
 
 @pytest.mark.parametrize("world_first", [True, False])
@@ -294,13 +245,6 @@ def test_the_palm_in_the_world_is_found_along_any_links(world_first):
         observations[3].T_world_palm, T_world_base @ T_base_arm @ T_arm_palm, atol=1e-12
     )
     assert stream.report.topics["/tf"].messages == 20
-
-
-def test_a_circle_of_transforms_leads_nowhere():
-    links = [("a", "palm", np.eye(4)), ("b", "a", np.eye(4)), ("palm", "b", np.eye(4))]
-    rows = [("/tf", s, M.tf(s, *links)) for s in grid(20)]
-    observations, _ = heard(by_log([*joints(grid(20)), *rows]))
-    assert not any(seen.T_world_palm is not None for seen in observations)
 
 
 def test_a_rig_that_takes_the_world_from_elsewhere_does_not_listen_to_tf():

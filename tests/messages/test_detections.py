@@ -137,9 +137,9 @@ def test_names_are_read_of_layouts_that_have_them(version):
 @pytest.mark.parametrize(
     ("box", "reason"),
     [
-        ((np.nan, 120.0, 40.0, 20.0, 0.0, []), "box of detection 0 is not finite"),
-        ((160.0, 120.0, np.inf, 20.0, 0.0, []), "box of detection 0 is not finite"),
-        ((160.0, 120.0, -40.0, 20.0, 0.0, []), "detection 0: expected a size of at least 0, got -40 x 20"),
+        ((np.nan, 120.0, 40.0, 20.0, 0.0, []), "detection 0: expected a finite box, got 40 x 20 at nan, 120"),
+        ((160.0, 120.0, np.inf, 20.0, 0.0, []), "detection 0: expected a finite box, got inf x 20"),
+        ((160.0, 120.0, -40.0, 20.0, 0.0, []), "detection 0: expected a finite box, got -40 x 20"),
         ((1e9, 120.0, 40.0, 20.0, 0.0, []), "detection.box: expected u0 <= u1, v0 <= v1 within 1e+06 pixels"),
         ((160.0, 120.0, 40.0, 20.0, 0.0, [("3", 97.0)]), "detection 0: expected a score from 0 to 1, got 97"),
         ((160.0, 120.0, 40.0, 20.0, 0.0, [("3", np.nan)]), "detection 0: expected a score from 0 to 1, got nan"),
@@ -186,6 +186,4 @@ def test_a_colour_image_is_no_mask():
 def test_a_mask_of_another_size_than_the_camera_is_said():
     message = Messages().image(START + 0.05, LABELS.astype("u1"), "mono8")
     _, stream = heard([*touched(20), ("/mask", START + 0.05, message)], rig(mask="/mask"))
-    assert (
-        "mask images on /mask: expected 640 x 480 pixels as the rig's camera has, got 3 x 2" in stream.lacks()
-    )
+    assert "mask images on /mask: expected 640 x 480 pixels as its camera's, got 3 x 2" in stream.lacks()

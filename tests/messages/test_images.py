@@ -119,60 +119,35 @@ def huge_png():
     )
 
 
+DEPTH_IN_MM = M.image(START, (DEPTH * 1000).astype("<f4"), "32FC1")
+TWO_MM = M.image(START, np.full((6, 5), 2, "<u2"), "16UC1")
+SHORT = M.image(START, COLOR, "rgb8", data=np.zeros(50, np.uint8), step=15)
+
+
 @pytest.mark.parametrize(
-    ("topic", "message", "reason"),
+    ("topic", "message", "said"),
     [
-        (
-            "/depth",
-            M.image(START, (DEPTH * 1000).astype("<f4"), "32FC1"),
-            r"expected depth in metres \(32FC1\), got a median of \d+ \(millimetres\?\)|expected depth in metres .*",
-        ),
-        (
-            "/depth",
-            M.image(START, np.full((6, 5), 2, "<u2"), "16UC1"),
-            r"expected depth in millimetres \(16UC1\), got a median of 2 \(another unit\?\)",
-        ),
-        ("/depth", M.image(START, COLOR, "rgb8"), "expected encoding 16UC1, mono16, 32FC1, got 'rgb8'"),
-        ("/color", M.image(START, DEPTH_MM, "16UC1"), "expected encoding rgb8, bgr8, got '16UC1'"),
-        (
-            "/color",
-            M.image(START, COLOR, "rgb8", data=np.zeros(50, np.uint8), step=15),
-            "expected 6 rows of 15 bytes for 5 x 6 rgb8, got 50 bytes",
-        ),
-        (
-            "/color",
-            M.image(START, COLOR, "rgb8", step=14),
-            "expected 6 rows of 14 bytes for 5 x 6 rgb8, got 90 bytes",
-        ),
-        ("/color", M.compressed(START, b"nothing", "jpeg"), "expected a PNG or JPEG, got: .*"),
-        ("/color", M.compressed(START, file_of(COLOR)[:60], "png"), "expected a PNG or JPEG, got: .*"),
-        ("/color", M.compressed(START, file_of(COLOR, "BMP"), "bmp"), "expected a PNG or JPEG, got: .*"),
-        ("/color", M.compressed(START, huge_png(), "png"), "expected (a PNG or JPEG|at most).*"),
-        (
-            "/depth",
-            M.compressed(START, file_of(COLOR), "png"),
-            "expected a PNG of 16 bits for depth, got mode RGB",
-        ),
-        (
-            "/depth",
-            M.compressed(START, b"12", "16UC1; compressedDepth png"),
-            "expected a header of 12 bytes, got 2 bytes",
-        ),
-        (
-            "/depth",
-            M.compressed(START, b"12", "16UC1; compressedDepth rvl"),
-            "expected compressed depth as PNG, got RVL",
-        ),
+        ("/depth", DEPTH_IN_MM, "metres (32FC1)"),
+        ("/depth", TWO_MM, "millimetres (16UC1)"),
+        ("/depth", M.image(START, COLOR, "rgb8"), "'rgb8'"),
+        ("/color", M.image(START, DEPTH_MM, "16UC1"), "'16UC1'"),
+        ("/color", SHORT, "50 bytes"),
+        ("/color", M.image(START, COLOR, "rgb8", step=14), "90 bytes"),
+        ("/color", M.compressed(START, b"nothing", "jpeg"), "PNG or JPEG"),
+        ("/color", M.compressed(START, file_of(COLOR)[:60], "png"), "PNG or JPEG"),
+        ("/color", M.compressed(START, file_of(COLOR, "BMP"), "bmp"), "PNG or JPEG"),
+        ("/color", M.compressed(START, huge_png(), "png"), "expected"),
+        ("/depth", M.compressed(START, file_of(COLOR), "png"), "RGB"),
+        ("/depth", M.compressed(START, b"12", "16UC1; compressedDepth png"), "2 bytes"),
+        ("/depth", M.compressed(START, b"12", "16UC1; compressedDepth rvl"), "RVL"),
     ],
 )
-def test_an_image_that_cannot_be_used_is_counted_with_the_reason(topic, message, reason):
-    import re
-
+def test_an_image_that_cannot_be_used_is_counted_with_the_reason(topic, message, said):
     observations, report = with_images((topic, message))
     assert observations == []
     assert (report.topics[topic].bad, report.topics[topic].used) == (1, 0)
-    (told,) = report.topics[topic].reasons
-    assert re.fullmatch(reason, told)
+    (reason,) = report.topics[topic].reasons
+    assert said in reason
 
 
 def test_the_newest_of_several_images_is_taken():

@@ -11,12 +11,10 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight.contact import TactileSurface
-from handsight.errors import InvalidInput
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.encode import header, parts
 from handsight.recording import open_recording
-from handsight.rig import Topics
 from messages.ros import START, Messages, nanoseconds, raw, rig
 
 M = Messages()
@@ -124,29 +122,6 @@ def test_the_surfaces_of_a_tactile_state_are_found_by_their_names(encoding):
     assert (topic.used, topic.messages, topic.unstamped) == (2, 2, False)
 
 
-@pytest.mark.parametrize("package", ["xela_server_ros2", "xela_server_ros"])
-@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
-def test_an_xela_stream_has_each_sensor_by_its_position_at_the_time_the_server_states(package, encoding):
-    forces = np.arange(18.0).reshape(6, 3)
-    kind, message = xela((4, forces), (9, 2 * forces), time=START + 0.005, package=package)
-    fields = {"thumb": "sensors[sensor_pos=9].forces.z", "index": "sensors[0].taxels[0:6].z"}
-    seen, topic = observed(robot(fields, thumb=grid(), index=grid()), serialized(kind, message, encoding))
-    np.testing.assert_array_equal(seen.skin["thumb"].ravel(), 2 * forces[:, 2])
-    np.testing.assert_array_equal(seen.skin["index"].ravel(), 1000 * forces[:, 2])
-    assert (topic.used, topic.unstamped) == (2, False)
-    assert topic.last == pytest.approx(START + 0.005, abs=1e-6)
-
-
-def test_vectors_of_a_flat_grid_are_its_rows_one_after_the_other():
-    """XELA's module on the palm: a list of forces, of a grid of three-axis taxels."""
-    forces = np.arange(18.0).reshape(6, 3)
-    fields = {"frame": "palm", "T_frame_grid": np.eye(4), "pitch": 0.004, "threshold": 0.1}
-    palm = TactileSurface.grid(rows=2, columns=3, components=3, **fields)
-    seen, topic = observed(robot({"palm": "sensors[0].forces"}, palm=palm), serialized(*xela((1, forces))))
-    np.testing.assert_array_equal(seen.skin["palm"], forces.reshape(2, 3, 3))
-    assert not topic.reasons
-
-
 def test_an_inspire_hand_has_a_region_of_each_finger_and_the_palm():
     counts = np.arange(1, 97, dtype=np.int16)
     some = {"total_pressure": 0.0, "max_pressure": 0.0, "contact_count": 0}
@@ -220,27 +195,7 @@ def test_a_path_that_leads_nowhere_is_told_with_the_step(field, reason):
     seen, topic = observed(robot({"thumb": field}), serialized(kind, message))
     assert not seen.skin
     (told,) = topic.reasons
-    of_field = "" if reason.startswith("field") else f"{field}: "
-    assert told.startswith(f"skin thumb: {of_field}{reason}")
-
-
-def test_one_surface_that_is_missing_does_not_take_the_others_along():
-    kind, message = xela((4, np.ones((6, 3))))
-    fields = {"thumb": "sensors[0].forces.z", "index": "sensors[sensor_pos=5].forces.z"}
-    seen, topic = observed(robot(fields, thumb=grid(), index=grid()), serialized(kind, message))
-    assert list(seen.skin) == ["thumb"]
-    assert (topic.used, topic.bad, topic.messages) == (1, 1, 2)
-    assert list(topic.reasons) == [
-        "skin index: field sensors[sensor_pos=5]: expected one with that sensor_pos, got 4"
-    ]
-
-
-@pytest.mark.parametrize(
-    "path", ["", ".", "a..b", "a[", "a[-1]", "a[1:2:3]", "__class__", "a b", "a" * 300, "a[x=]"]
-)
-def test_a_text_that_is_no_path_is_refused(path):
-    with pytest.raises(InvalidInput, match=r"skin_fields\['thumb'\]: expected a path into a message"):
-        Topics(skin={"thumb": "/skin"}, skin_fields={"thumb": path})
+    assert told.startswith(f"skin thumb: {reason}")
 
 
 def contact(name="", frame="", force=(0.0, 0.0, -2.0), point=(0.001, 0.002, 0.003)):
@@ -341,45 +296,10 @@ def test_a_recordings_own_definition_is_enough(tmp_path, kind):
     np.testing.assert_array_equal(seen.skin["thumb"], READING)
 
 
-def test_a_definition_in_idl_is_one_too():
-    """As recorders write it for a type that is defined in IDL: each type after a line of its own."""
-    parts_of = {
-        HAND: "module aidin_hand2_msgs { module msg { struct HandState {"
-        " sequence<double> tactile_thumb; aidin_hand2_msgs::msg::CommandState state; }; }; };",
-        "aidin_hand2_msgs/msg/CommandState": "module aidin_hand2_msgs { module msg { struct CommandState {"
-        " uint8 selected_source; }; }; };",
-    }
-    definition = "".join(f"{'=' * 80}\nIDL: {name}\n{text}\n" for name, text in parts_of.items())
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    plain = "float64[] tactile_thumb\nCommandState state\n" + HAND_DEFINITION.split("\n", 3)[3]
-    store.register(get_types_from_msg(plain, HAND))
-    hand = Message(tactile_thumb=READING.ravel(), state=Message(selected_source=3))
-    message = serialized(HAND, hand, store=store)._replace(definition=definition)
-    seen, _ = observed(robot({"thumb": "tactile_thumb"}), message)
-    np.testing.assert_array_equal(seen.skin["thumb"], READING)
-
-
 def test_without_a_path_an_unknown_type_is_told(tmp_path):
     with open_recording(recorded(tmp_path, "mcap"), robot()) as recording:
         list(recording.observations())
         assert any(f"got {HAND}" in each for each in recording.report.sentences())
-
-
-@pytest.mark.parametrize(
-    "definition",
-    [
-        "",
-        "what is that?",
-        "float64[] a\n" * 10_000,
-        "import os\nfloat64 x",
-        "HandState again\nfloat64[6] tactile_thumb",
-    ],
-)
-def test_a_definition_that_is_none_leaves_the_message_out(definition):
-    message = RawMessage("/skin", HAND, "cdr", START, b"\0\1\0\0" + bytes(64), definition)
-    seen, topic = observed(robot({"thumb": "tactile_thumb"}), message)
-    assert not seen.skin
-    assert topic.bad == topic.messages == 1
 
 
 STEPS = st.sampled_from(
@@ -408,12 +328,3 @@ def test_any_path_into_any_message_gives_finite_readings_or_a_reason(path, wrong
         seen, topic = observed(robot({"thumb": path.removeprefix(".")}), each)
         assert topic.messages == 1 == topic.used + topic.bad + topic.nan + topic.late
         assert all(np.isfinite(each).any() for each in seen.skin.values())
-
-
-@given(st.text(st.characters(codec="utf-8"), max_size=80))
-def test_any_definition_gives_a_reason(text):
-    message = RawMessage(
-        "/skin", HAND, "cdr", START, b"\0\1\0\0" + bytes(64), f"float64[] tactile_thumb\n{text}"
-    )
-    _, topic = observed(robot({"thumb": "tactile_thumb"}), message)
-    assert topic.used + topic.bad == topic.messages == 1

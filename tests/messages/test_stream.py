@@ -52,13 +52,6 @@ def test_observations_come_as_soon_as_they_are_in_order():
     assert max(delays) == pytest.approx(0.21, abs=0.011)
 
 
-def test_a_message_of_no_topic_of_the_rig_is_passed_over_and_named():
-    stream = ObservationStream(rig())
-    assert stream.put(RawMessage("/cat", "std_msgs/msg/String", "cdr", START, b"meow")) == []
-    assert stream.report.others == {"/cat": "std_msgs/msg/String"}
-    assert stream.report.topics == {}
-
-
 @pytest.mark.parametrize("encoding", ["cdr", "ros1", "json", ""])
 def test_bytes_that_are_no_message_are_counted_and_never_raise(encoding):
     rng, stream = np.random.default_rng(0), ObservationStream(rig())
@@ -73,12 +66,3 @@ def test_bytes_that_are_no_message_are_counted_and_never_raise(encoding):
     for topic in stream.report.topics.values():
         counts = topic.used, topic.duplicated, topic.nan, topic.late, topic.bad, topic.stale, topic.stuck
         assert sum(counts) == topic.messages
-
-
-def test_before_the_first_message_everything_is_lacking():
-    assert ObservationStream(rig(color=None, depth=None, camera_info=None)).lacks() == [
-        "finger ff: no wrench on /ff/wrench",
-        "finger th: no wrench on /th/wrench",
-        "no vision on /vision/object",
-        "no transforms on /tf",
-    ]

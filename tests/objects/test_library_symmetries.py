@@ -7,6 +7,7 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel, Symmetries, about
 from handsight.objects.library.documents import ContinuousAxis, Info, info_of, symmetries_of
+from testbed.refusals import refused
 
 X, Y, Z = np.eye(3)
 GROUPS = {
@@ -110,24 +111,24 @@ AXIS = [ContinuousAxis(axis=(0, 0, 1.0))]
 
 
 @pytest.mark.parametrize(
-    ("discrete", "continuous", "message"),
+    ("discrete", "continuous", "field"),
     [
-        ([MIRROR], [], r"symmetries_discrete\[0\]: expected a rigid transform, got"),
-        ([HALF, (2.0, *HALF[1:])], [], r"symmetries_discrete\[1\]: expected a rigid transform"),
-        ([(*HALF[:15], 2.0)], [], r"symmetries_discrete\[0\]: expected a rigid transform"),
-        ([(*HALF[:3], 1e30, *HALF[4:])], [], r"symmetries_discrete\[0\]: expected metres within 1000"),
-        ([SHIFT], [], "symmetries_discrete: expected a finite group, got over 120 products"),
-        ([HALF, HALF_ELSEWHERE], [], "symmetries_discrete: expected a finite group"),
-        ([flat(about(np.zeros(3), Z), 6)], [], "symmetries_discrete: expected a finite group"),
-        ([HALF] * 121, [], "symmetries_discrete: expected at most 120, got 121"),
-        ([SHIFT], AXIS, r"symmetries_discrete\[0\]: expected a turn that keeps the continuous axis"),
-        ([QUARTER_ABOUT_X], AXIS, r"symmetries_discrete\[0\]: expected a turn that keeps the continuous axis"),
-        ([ALONG_Z], AXIS, r"symmetries_discrete\[0\]: expected a turn, got a shift along the continuous axis"),
-        ([], [ContinuousAxis(axis=(0, 0, 0.0))], r"axes\[0\]\.direction: expected a direction"),
-        ([], [ContinuousAxis(axis=(0, 0, 1.0), offset=(1e300, 0, 0))], r"symmetries_continuous\[0\]\.offset: expected metres"),
-        ([], [*AXIS, ContinuousAxis(axis=(0, 0, 1.0), offset=(9, 0, 0))], "axes: expected axes that cross"),
+        ([MIRROR], [], 'symmetries_discrete[0]'),
+        ([HALF, (2.0, *HALF[1:])], [], 'symmetries_discrete[1]'),
+        ([(*HALF[:15], 2.0)], [], 'symmetries_discrete[0]'),
+        ([(*HALF[:3], 1e30, *HALF[4:])], [], 'symmetries_discrete[0]'),
+        ([SHIFT], [], 'symmetries_discrete'),
+        ([HALF, HALF_ELSEWHERE], [], 'symmetries_discrete'),
+        ([flat(about(np.zeros(3), Z), 6)], [], 'symmetries_discrete'),
+        ([HALF] * 121, [], 'symmetries_discrete'),
+        ([SHIFT], AXIS, 'symmetries_discrete[0]'),
+        ([QUARTER_ABOUT_X], AXIS, 'symmetries_discrete[0]'),
+        ([ALONG_Z], AXIS, 'symmetries_discrete[0]'),
+        ([], [ContinuousAxis(axis=(0, 0, 0.0))], 'axes[0].direction'),
+        ([], [ContinuousAxis(axis=(0, 0, 1.0), offset=(1e300, 0, 0))], 'symmetries_continuous[0].offset'),
+        ([], [*AXIS, ContinuousAxis(axis=(0, 0, 1.0), offset=(9, 0, 0))], 'axes'),
     ],
 )  # fmt: skip
-def test_entries_that_are_no_symmetry_group_are_refused(discrete, continuous, message):
-    with pytest.raises(InvalidInput, match=f"^{message}"):
+def test_entries_that_are_no_symmetry_group_are_refused(discrete, continuous, field):
+    with refused(InvalidInput, field):
         symmetries_of(Info(diameter=100.0, symmetries_discrete=discrete, symmetries_continuous=continuous))

@@ -4,14 +4,13 @@ import io
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 import trimesh
 
-from handsight.cache_folder import cache_folder, write_entry
+from handsight.cache_folder import write_entry
 from handsight.objects import FieldError, Geometry, GridField, ObjectModel, ObjectWarning, cache
 from handsight.objects import model as object_models
 from objects.object_shapes import BOX_FACES, box_mesh, triangles
@@ -21,18 +20,6 @@ from objects.object_shapes import BOX_FACES, box_mesh, triangles
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "fields"))
     return tmp_path / "fields"
-
-
-@pytest.fixture
-def counted(monkeypatch):
-    """A list with an item for each object that was built."""
-    calls = []
-    for name in ("_of_mesh", "_of_points"):
-        build_it = getattr(object_models, name)
-        monkeypatch.setattr(
-            object_models, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
-        )
-    return calls
 
 
 def box():
@@ -55,16 +42,18 @@ def same(a, b):
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_same_mesh_is_built_once(folder, counted):
-    same(box(), box())
-    assert len(counted) == 1
-    assert len(list(folder.iterdir())) == 1
+def test_the_same_mesh_is_built_once(folder):
+    first = box()
+    (file,) = folder.iterdir()
+    written = file.stat().st_mtime_ns
+    same(box(), first)
+    assert [each.stat().st_mtime_ns for each in folder.iterdir()] == [written]
     ObjectModel.from_mesh(*box_mesh((0.06, 0.09, 0.051)))
-    assert len(counted) == 2
+    assert len(list(folder.iterdir())) == 2
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "text", "flipped", "header", "array"])
-def test_a_damaged_file_is_built_again(folder, counted, damage):
+def test_a_damaged_file_is_built_again(folder, damage):
     first = box()
     (file,) = folder.iterdir()
     good = file.read_bytes()
@@ -79,11 +68,10 @@ def test_a_damaged_file_is_built_again(folder, counted, damage):
             {"empty": b"", "cut": good[:middle], "text": b"no", "flipped": flipped, "header": header}[damage]
         )
     same(box(), first)
-    assert len(counted) == 2
     assert file.read_bytes() == good
 
 
-def test_a_file_of_another_content_or_another_object_is_built_again(folder, counted):
+def test_a_file_of_another_content_or_another_object_is_built_again(folder):
     ObjectModel.from_mesh(*box_mesh((0.06, 0.09, 0.051)))
     (other,) = folder.iterdir()
     first = box()
@@ -93,10 +81,9 @@ def test_a_file_of_another_content_or_another_object_is_built_again(folder, coun
     same(box(), first)
     file.write_bytes(other.read_bytes())
     same(box(), first)
-    assert len(counted) == 4
 
 
-def test_pickled_content_is_never_loaded(folder, counted):
+def test_pickled_content_is_never_loaded(folder):
     box()
     (file,) = folder.iterdir()
 
@@ -110,18 +97,16 @@ def test_pickled_content_is_never_loaded(folder, counted):
     name = file.stem.removeprefix("field-")
     write_entry(file, name, content)
     box()
-    assert len(counted) == 2
 
 
-def test_a_folder_that_cannot_be_written_warns_once(folder, monkeypatch, counted):
+def test_a_folder_that_cannot_be_written_warns_once(folder, monkeypatch):
     def full(*_):
         raise OSError("No space left on device")
 
     monkeypatch.setattr(cache, "write_entry", full)
-    with pytest.warns(ObjectWarning, match="distance fields cannot be cached there"):
+    with pytest.warns(ObjectWarning):
         box()
     box()  # warnings are errors here
-    assert len(counted) == 2
 
 
 def test_the_newest_files_are_kept(folder, monkeypatch):
@@ -138,17 +123,6 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
     assert sorted(f.name for f in folder.iterdir()) == [
         "field-33333333.msgpack", "field-44444444.msgpack", "field-55555555.msgpack", "mine.npz",
     ]  # fmt: skip
-
-
-def test_the_cache_folder_follows_the_environment(monkeypatch, tmp_path):
-    monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "a"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "b"))
-    assert cache_folder() == tmp_path / "a"
-    monkeypatch.delenv("HANDSIGHT_CACHE")
-    assert cache_folder() == tmp_path / "b" / "handsight"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / ".cache" / "handsight"
 
 
 PROGRAM = """
@@ -190,29 +164,6 @@ def file(tmp_path):
     path = tmp_path / "thing.ply"
     trimesh.Trimesh(*box_mesh((0.06, 0.09, 0.05)), process=False).export(path)
     return path
-
-
-def test_a_file_is_read_and_built_once(folder, file, counted, monkeypatch):
-    first = ObjectModel.from_file(file)
-    assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr(object_models, "shape_of", None)
-    same(first, ObjectModel.from_file(file))
-    assert len(counted) == 1
-
-
-def test_a_cloud_comes_back_as_it_was(folder, tmp_path, counted):
-    points, normals = box().sample(3000)
-    np.savetxt(tmp_path / "cloud.xyz", points)
-    same(*(ObjectModel.from_file(tmp_path / "cloud.xyz") for _ in range(2)))
-    same(*(ObjectModel.from_points(points, normals) for _ in range(2)))
-    assert len(counted) == 3
-
-
-def test_a_warning_about_an_object_is_repeated_when_it_comes_from_the_cache(folder, file):
-    for _ in range(2):
-        with pytest.warns(ObjectWarning, match="looks like millimetres") as caught:
-            ObjectModel.from_file(file, scale=1000.0)
-        assert [Path(w.filename).name for w in caught] == ["test_object_cache.py"]
 
 
 def test_another_scale_or_content_is_another_object(folder, file):

@@ -5,12 +5,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from handsight import se3
-from handsight.errors import InvalidInput, InvalidTransform
-from handsight.objects import ObjectModel, Symmetries, about, nearest, propose_symmetries, tangents
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel, Symmetries, about, nearest, propose_symmetries
 from objects.object_shapes import prism
+from testbed.refusals import refused
 
 RADIUS = 0.07
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 OFF_AXIS = ((0.02, -0.03, 0.1), (1.0, 2.0, 2.0))
 off_point, off_axis = np.array(OFF_AXIS[0]), np.array(OFF_AXIS[1]) / 3
 across = np.cross(off_axis, [1, 0, 0]) / np.linalg.norm(np.cross(off_axis, [1, 0, 0]))
@@ -46,11 +46,6 @@ def equivalents(symmetries, T, rng, n=400):
 )
 def test_shapes_declare_their_own_symmetries(name, rotations, axes):
     assert (len(GROUPS[name].rotations), len(GROUPS[name].axes)) == (rotations, axes)
-
-
-def test_a_square_bar_turns_over_in_eight_ways():
-    assert len(ObjectModel.box((0.04, 0.04, 0.15)).symmetries.rotations) == 8
-    assert len(ObjectModel.box((0.04, 0.04 * (1 + 1e-6), 0.15)).symmetries.rotations) == 4
 
 
 @each_group
@@ -97,21 +92,6 @@ def test_the_nearest_equivalent_of_a_pose_is_equivalent_to_it(symmetries, rng):
     )
 
 
-@each_group
-def test_equivalent_poses_have_the_same_nearest(symmetries, rng):
-    T = se3.random(rng, spread=0.05)
-    T_reference = se3.moved(T, np.array([0.01, 0.02, -0.01, 0.3, -0.2, 0.1]))
-    best = nearest(symmetries, equivalents(symmetries, T, rng, 50), T_reference, RADIUS)
-    np.testing.assert_allclose(best, np.broadcast_to(best[0], best.shape), atol=1e-6)
-
-
-@each_group
-def test_a_pose_equivalent_to_the_reference_becomes_it(symmetries, rng):
-    T = se3.random(rng, spread=0.05)
-    best = nearest(symmetries, equivalents(symmetries, T, rng, 60), T, RADIUS)
-    np.testing.assert_allclose(best, np.broadcast_to(T, best.shape), atol=1e-7)
-
-
 @settings(max_examples=40)
 @given(st.integers(0, 2**31))
 def test_the_best_spin_is_the_minimum_along_the_axis(seed):
@@ -131,16 +111,6 @@ def test_the_best_spin_is_the_minimum_along_the_axis(seed):
     assert distance(nearest(symmetries, T, T_reference, RADIUS), T_reference) ** 2 <= least + 1e-12
 
 
-@each_group
-def test_tangents_are_the_derivatives_of_the_continuous_symmetries(symmetries, rng):
-    T = se3.random(rng, spread=0.1)
-    rows = tangents(symmetries, T)
-    assert rows.shape == (len(symmetries.axes), 6)
-    for row, (point, axis) in zip(rows, symmetries.axes, strict=True):
-        numeric = se3.difference(T @ about(point, 1e-6 * axis), T) / 1e-6
-        np.testing.assert_allclose(row, numeric, atol=1e-6)
-
-
 def test_two_crossing_axes_make_a_ball():
     ball = GROUPS["ball, origin elsewhere"]
     assert ball.round
@@ -148,24 +118,19 @@ def test_two_crossing_axes_make_a_ball():
     np.testing.assert_allclose([point for point, _ in ball.axes], [[0.1, 0, 0.02]] * 3, atol=1e-12)
 
 
-def test_the_same_axis_twice_is_one():
-    assert len(Symmetries([((0, 0, 0), (0, 0, 1)), ((0, 0, 0.3), (0, 0, -2))]).axes) == 1
-
-
 @pytest.mark.parametrize(
-    ("axes", "rotations", "message"),
+    ("axes", "rotations", "field"),
     [
-        ([((0, 0, 0), (0, 0, 0))], None, r"axes\[0\].direction: expected a direction, got a zero vector"),
-        ([((0, 0, np.nan), (0, 0, 1))], None, r"axes\[0\].point: expected 3 finite numbers"),
-        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 0, 1))], None, "axes that cross, got two that are parallel"),
-        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 1, 0))], None, "axes that cross, got two that pass"),
-        ([], [about(np.zeros(3), np.array([0, 0, 1.0]))], "expected a finite group, got over 120 products"),
-        ([((0, 0, 0), (0, 0, 1))], [about(np.zeros(3), np.array([np.pi / 2, 0, 0]))], "keep the continuous axis"),
-        ([], [np.diag([1, 1, -1, 1])], "rotations: expected a rotation, got a reflection"),
+        ([((0, 0, 0), (0, 0, 0))], None, "axes[0].direction"),
+        ([((0, 0, np.nan), (0, 0, 1))], None, "axes[0].point"),
+        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 0, 1))], None, "axes"),
+        ([((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (0, 1, 0))], None, "axes"),
+        ([], [about(np.zeros(3), np.array([0, 0, 1.0]))], "rotations"),
+        ([((0, 0, 0), (0, 0, 1))], [about(np.zeros(3), np.array([np.pi / 2, 0, 0]))], "rotations"),
     ],
-)  # fmt: skip
-def test_motions_that_are_no_symmetry_group_are_refused(axes, rotations, message):
-    with pytest.raises((InvalidInput, InvalidTransform), match=message):
+)
+def test_motions_that_are_no_symmetry_group_are_refused(axes, rotations, field):
+    with refused(InvalidInput, field):
         Symmetries(axes, rotations)
 
 
@@ -209,11 +174,3 @@ def test_a_shape_without_symmetry_gets_none_proposed():
     vertices, faces = prism(3)
     vertices[4] += (0.02, -0.01, 0.015)
     assert proposed(ObjectModel.from_mesh(vertices, faces)) == (1, 0)
-
-
-def test_a_looser_tolerance_finds_more():
-    model = ObjectModel.box((0.06, 0.063, 0.10))
-    assert proposed(model, 0.001) == (4, 0)
-    assert proposed(model, 0.004) == (8, 0)
-    with pytest.raises(InvalidInput, match="tolerance: expected a number above 0"):
-        propose_symmetries(model, 0.0)

@@ -90,15 +90,6 @@ def test_the_distance_to_an_open_cloud_is_that_to_its_surface_and_zero_on_it_onl
             assert (side * model.evaluate(on + side * unknown * out).distance > 0).all()
 
 
-def test_the_distance_behind_an_open_wall_is_that_to_the_wall(rng):
-    """As behind a mesh: a field that is continuous around the rim would be zero where no surface is."""
-    flat = rng.uniform(-1, 1, (1500, 2)) * [0.018, 0.05]
-    wall = np.column_stack([flat, np.zeros(len(flat))])
-    model = ObjectModel.from_points(wall, np.tile([0.0, 0.0, 1.0], (len(wall), 1)))
-    behind = np.column_stack([np.zeros(50), np.zeros(50), -np.linspace(0, 0.1, 50)])
-    np.testing.assert_allclose(model.evaluate(behind).distance, behind[:, 2], atol=0.1 * model.coarse.cell)
-
-
 def test_near_its_points_an_open_cloud_has_the_field_of_the_closed_one(rng):
     """Distance and normal of a ball, five spacings and more from where a quarter of it is missing."""
     points, normals = SOLIDS["ball"].sample(1500)

@@ -9,7 +9,7 @@ from handsight.objects import ObjectModel, Triangles
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.meshes.mesh_geometry import holes_of, rim_of
 from handsight.objects.meshes.repair import repaired
-from objects.object_shapes import box_mesh, divided, holed_box, moebius, prism, triangles
+from objects.object_shapes import box_mesh, divided, holed_box, prism, triangles
 from oracles import meshes as oracle
 
 CELLS = 1.0
@@ -182,26 +182,6 @@ def test_a_slit_is_no_rim_and_a_hole_is_one():
     (whole,) = holes_of(uncut, uncut.edges.counts == 1)[1]
     assert hole == pytest.approx(whole, abs=1e-9)
     assert len(holes_of(mesh, mesh.edges.counts == 1)[1]) > 1
-
-
-def test_an_open_mesh_is_the_same_when_it_comes_from_the_cache():
-    vertices, faces = prism(12, 0.03, 0.08)
-    first, again = (ObjectModel.from_mesh(vertices, faces[:24]) for _ in range(2))
-    assert first.fine.sheet
-    assert again.fine.sheet
-    np.testing.assert_array_equal(
-        again.evaluate(again.points_object).distance, first.evaluate(first.points_object).distance
-    )
-
-
-def test_a_moebius_strip_has_sides_nearly_everywhere_and_no_zero_off_it(rng):
-    vertices, faces = moebius(90)
-    with pytest.warns(UserWarning, match="one side only somewhere"):
-        model = ObjectModel.from_mesh(vertices, faces)
-    points = around(model, rng)
-    expected = oracle.closest_points(points, vertices[faces])[0]
-    off = np.abs(np.abs(model.evaluate(points).distance) - expected)
-    assert (off[expected < 4 * model.fine.cell] < CELLS * model.fine.cell).all()
 
 
 def test_a_closed_and_an_open_shell_together_are_open_and_keep_both_surfaces(rng):

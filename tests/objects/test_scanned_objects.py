@@ -60,31 +60,6 @@ def test_the_field_of_a_cloud_of_2000_points_is_right_to_half_a_millimetre(name)
     assert np.sqrt((cloud.evaluate(points).distance ** 2).mean()) < 5e-4
 
 
-def test_a_marker_that_is_not_watertight_is_closed_all_the_same():
-    with pytest.warns(ObjectWarning) as caught:
-        model = scan("040_large_marker")
-    assert [str(w.message) for w in caught] == list(model.remarks)
-    assert model.remarks == (
-        "040_large_marker.ply: 162 triangles without area were dropped",
-        "040_large_marker.ply: 11 repeated triangles were dropped",
-    )
-    assert model.closed
-    assert model.coarse.cell < 0.005
-    assert model.evaluate(model.center_object[None]).distance < -0.005
-
-
-def test_a_can_whose_lids_do_not_share_its_rims_is_closed():
-    """The corners of lid and wall differ in the last bits of 32-bit floats: 1e-8 m."""
-    model = ObjectModel.from_file(data_file("soda_can/can.stl"))
-    assert model.closed
-    assert model.remarks == ()
-    assert model.sigma_point < 1e-4
-    points, normals = model.sample(1000)
-    distance = model.evaluate(points - 0.002 * normals).distance
-    assert np.median(distance) == pytest.approx(-0.002, abs=2e-4)
-    assert model.evaluate(model.center_object[None]).distance < -0.02
-
-
 def test_the_bunny_with_its_holes_is_closed():
     file = data_file("registration_teaser/bun_zipper_res3.ply")
     with pytest.warns(ObjectWarning) as caught:

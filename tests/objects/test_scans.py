@@ -9,15 +9,7 @@ import trimesh
 import handsight as hs
 from handsight._kernels.mesh.quadrics import blended
 from handsight.objects import ObjectModel, Triangles, diameter
-from handsight.objects.scans.patches import (
-    Noise,
-    Points,
-    estimated_noise,
-    fitted,
-    flat_patches,
-    spacing_of,
-    widened,
-)
+from handsight.objects.scans.patches import Points, estimated_noise, flat_patches, spacing_of, widened
 from handsight.objects.scans.scan import scanned, smoothed
 from oracles import fields
 
@@ -68,14 +60,6 @@ def test_noise_is_estimated_from_the_points(name, seed):
     assert noise.together == 1
     # Edges count as a little noise where points are far apart.
     assert 0.85 * sigma < noise.sigma < 1.35 * sigma
-
-
-@pytest.mark.parametrize("name", ["plane", "can", "box", "ball"])
-@pytest.mark.parametrize("n", [2000, 6000])
-def test_the_estimated_noise_of_exact_points_is_next_to_none(name, n):
-    points, _, _ = drawn(name, n, 1)
-    given, noise = estimated_noise(as_points(points))
-    assert noise.sigma < 2e-4 * given.diameter
 
 
 def test_noise_that_neighbours_share_is_distinguished_from_independent_noise():
@@ -238,15 +222,6 @@ def thread():
     return np.vstack([[0, 0], np.column_stack([0.01 + 0.002 * np.abs((z / 0.002) % 1 - 0.5), z]), [0, 0.06]])
 
 
-@pytest.mark.parametrize("name", CLEAN)
-def test_a_drawn_mesh_is_not_smoothed_as_a_scan(name):
-    mesh = CLEAN[name]()
-    given = Triangles(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
-    same, roughness = smoothed(given, diameter(given.vertices))
-    assert roughness is None
-    assert same is given
-
-
 @pytest.mark.parametrize("name", ["box of long triangles", "ball", "can of 48 sides", "capsule", "waves"])
 @pytest.mark.parametrize("noise", [1.5e-3, 6e-3])
 def test_the_noisy_vertices_of_a_mesh_are_moved_to_its_surface(name, noise):
@@ -261,16 +236,6 @@ def test_the_noisy_vertices_of_a_mesh_are_moved_to_its_surface(name, noise):
         np.abs(trimesh.proximity.signed_distance(mesh, v[:300])) for v in (noisy.vertices, found.vertices)
     )
     assert np.median(after) < 0.6 * np.median(before)
-
-
-def test_a_scanned_mesh_has_the_errors_of_slope_and_curvature_that_a_scanned_cloud_has():
-    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.035)
-    rng = np.random.default_rng(0)
-    geometry = ObjectModel.from_mesh(mesh.vertices + 5e-4 * rng.normal(size=mesh.vertices.shape), mesh.faces)
-    assert geometry.closed
-    assert len(geometry.faces) == len(mesh.faces)
-    assert (geometry.field_error.values[..., 2:] > 0).all()
-    assert ObjectModel.from_mesh(mesh.vertices, mesh.faces).field_error.values[..., 2:].max() == 0
 
 
 def hostile():
@@ -310,17 +275,6 @@ def test_of_a_million_points_twenty_thousand_are_used():
     scan = scanned(points + 5e-4 * rng.normal(size=points.shape), None, 0.1)
     assert len(scan.surface.patches) == 4000
     assert scan.noise.sigma == pytest.approx(5e-4, rel=0.15)
-
-
-def test_a_patch_that_no_window_could_fit_has_large_variances():
-    points, normals = BALL.sample(300)
-    given = as_points(points, normals)
-    lonely = Points(
-        np.vstack([points, [[0.2, 0, 0]]]), np.vstack([normals, [[1.0, 0, 0]]]), given.spacing, given.diameter
-    )
-    surface = fitted(lonely, Noise(1e-3))
-    assert surface.patches["fits"][-1] == 0
-    assert (surface.variances[-1] > 3 * np.median(surface.variances, axis=0)).all()
 
 
 @pytest.mark.parametrize("width", [4e-3, 5e-3])
@@ -372,12 +326,3 @@ def test_the_error_of_a_scan_is_large_where_it_has_no_points(seed):
     side = side[side[:, 2] > 0]
     here, there = (np.median(fields.variances(given.field_error, side), axis=0) for given in (scan, closed))
     np.testing.assert_allclose(here, there, rtol=0.5)
-
-
-@pytest.mark.parametrize(("radius", "height"), [(0.05, 0.03), (0.04, 0.02), (0.03, 0.1)])
-def test_normals_of_few_points_agree_across_the_rims_of_a_can(radius, height):
-    can = ObjectModel.cylinder(radius, height)
-    for seed in range(4):
-        scan = scanned(can.sample(1500, seed)[0], None, can.diameter)
-        places, normals = scan.surface.converged()
-        assert ((normals * can.evaluate(places).gradient).sum(axis=1) > 0).mean() > 0.98

@@ -25,22 +25,17 @@ def surface(problem: Problem, points_palm: Array, T: Array) -> tuple[Array, Arra
 
 
 def covariance(problem: Problem, T: Array) -> Array:
-    """(n, 4, 4) of every contact's distance and normal, to first order in the errors of point and normal.
-
-    With nothing of model and surface where the given covariance is of the residual.
-    """
+    """(n, 4, 4) of every contact's distance and normal, to first order in the errors of point and normal."""
     contacts, model = problem.contacts, problem.model
     _, gradient, _, curvature = surface(problem, contacts.points_palm, T)
     n = len(contacts)
     by_error = np.zeros((n, 4, 6))
-    added = ~contacts.of_residual[:, None]
     by_error[:, 0, :3], by_error[:, 1:, 3:] = gradient, -np.eye(3)
-    by_error[:, 1:, :3] = added[..., None] * curvature
+    by_error[:, 1:, :3] = curvature
     S = by_error @ contacts.covariance @ by_error.transpose(0, 2, 1)
     own = np.tile([(LEAST_ERROR[0] * model.diameter) ** 2, LEAST_ERROR[1] ** 2], (n, 1))
     if model.field_error is not None:
         own += fields.variances(model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[:, :2]
-    own = added * own
     S[:, 0, 0] += own[:, 0]
     S[:, 1:, 1:] += own[:, 1, None, None] * np.eye(3)
     # Along the normal, where a unit vector has no noise of first order, the mean variance of the tangents.
@@ -78,7 +73,12 @@ def of_prior(problem: Problem, T: Array) -> Array:
     vision, axes = problem.vision, problem.model.symmetries.axes
     T_vision = vision.T_palm_object
     R = T_vision[:3, :3]
-    pivot = axes[0][0] if axes else np.zeros(3)
+    pivot = problem.model.center_object  # or the point on the axes that is nearest to it
+    if len(axes) > 1:
+        pivot = axes[0][0]
+    elif axes:
+        point, direction = axes[0]
+        pivot = point + direction * (direction @ (pivot - point))
     if axes:
         a, b = R @ axes[0][1], T[:3, :3] @ axes[0][1]
         product = np.cross(a, b)
@@ -118,19 +118,12 @@ def of_weight(problem: Problem, T: Array) -> Array:
     return root @ (se3.apply(T, weight.center_object[None])[0] - weight.center_palm)
 
 
-def of_depth(problem: Problem, T: Array) -> Array:
-    """Residuals (n,) of depth points, where there are any."""
-    if problem.depth is None:
-        return np.empty(0)
-    return surface(problem, problem.depth.points_palm, T)[0] / problem.depth.sigma
-
-
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
     """All of them, whitened as at `T_weights`, which is `T` where not given."""
     weights = T if T_weights is None else T_weights
     touch = of_contacts(problem, T, weights, used).reshape(-1)
     sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
-    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T), of_depth(problem, T)])
+    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T)])
 
 
 def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:

@@ -1,22 +1,46 @@
-"""A file that was cut or damaged gives what can be read of it, and says what was lost; none brings the reader down."""
+"""A file that was cut or damaged gives what lies before, or is refused; none brings the reader down or fills memory."""
 
+import bz2
 import sqlite3
 import struct
 import tracemalloc
+from contextlib import contextmanager
+from zlib import crc32
 
 import numpy as np
 import pytest
+from backports import zstd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight.errors import HandsightError, InvalidFile
-from handsight.recording import chunks, open_recording
+from handsight.recording import open_recording
 from messages.ros import START, Messages, everything, rig, touched
 from recording.bags import alone, read, save
-from tests.corpus.recordings import packed_messages
 
 M = Messages()
-EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
+
+
+def record(op: int, body: bytes) -> bytes:
+    """Returns a record of an MCAP file."""
+    return struct.pack("<BQ", op, len(body)) + body
+
+
+def text(data: bytes) -> bytes:
+    """Returns a string as an MCAP file stores it."""
+    return struct.pack("<I", len(data)) + data
+
+
+def packed_messages(count: int) -> bytes:
+    """Returns an MCAP file in which a zstd chunk with this number of empty joint states is repeated three times."""
+    raw = record(5, struct.pack("<HIQQ", 1, 0, 10**9, 10**9)) * count
+    packed = zstd.compress(raw)
+    head = record(
+        3, struct.pack("<H", 1) + text(b"sensor_msgs/msg/JointState") + text(b"ros2msg") + text(b"")
+    )
+    head += record(4, struct.pack("<HH", 1, 1) + text(b"/joint_states") + text(b"cdr") + text(b""))
+    about = struct.pack("<QQQI", 10**9, 10**9, len(raw), 0) + text(b"zstd") + struct.pack("<Q", len(packed))
+    return b"\x89MCAP0\r\n" + head + 3 * record(6, about + packed) + record(2, bytes(20)) + b"\x89MCAP0\r\n"
 
 
 def whole(folder, kind, count=400, **options):
@@ -37,123 +61,111 @@ def whole(folder, kind, count=400, **options):
     return path, path.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("content", "came"),
-    [
-        (b"", "an empty file"),
-        (b"hello", "a file that begins with b'hello'"),
-        (b"\x89MCAP1\r\n", "a file that begins"),
-    ],
-)
-def test_another_file_than_a_recording_is_refused_in_a_sentence(tmp_path, content, came):
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89MCAP1\r\n"])
+def test_another_file_than_a_recording_is_refused(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    with pytest.raises(InvalidFile) as error:
-        open_recording(path, rig())
-    assert str(error.value).startswith(f"{path}: {EXPECTED}, got {came}")
-
-
-def test_a_missing_file_and_an_empty_folder_are_refused_in_a_sentence(tmp_path):
-    with pytest.raises(InvalidFile, match="got no file"):
-        open_recording(tmp_path / "none.mcap", rig())
-    with pytest.raises(InvalidFile, match=r"got a folder without .mcap or .db3 files"):
-        open_recording(tmp_path, rig())
-
-
-def test_another_database_than_a_rosbag_2_is_refused_in_a_sentence(tmp_path):
-    path = tmp_path / "a.db3"
-    with sqlite3.connect(path) as base:
-        base.execute("CREATE TABLE cats (name)")
-    base.close()
-    with pytest.raises(InvalidFile, match=r"a.db3: expected a rosbag 2 in sqlite3, got: the tables cats$"):
+    with pytest.raises(InvalidFile):
         open_recording(path, rig())
 
 
-def test_a_view_in_place_of_a_table_is_not_run(tmp_path):
-    path = tmp_path / "a.db3"
-    with sqlite3.connect(path) as base:
-        base.execute("CREATE TABLE topics (id, name, type, serialization_format)")
-        base.execute(
+def test_a_missing_file_and_an_empty_folder_are_refused(tmp_path):
+    for path in (tmp_path / "none.mcap", tmp_path):
+        with pytest.raises(InvalidFile):
+            open_recording(path, rig())
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        ["CREATE TABLE cats (name)"],
+        [
+            "CREATE TABLE topics (id, name, type, serialization_format)",
             "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i FROM n) "
-            "SELECT i AS topic_id, i AS timestamp, i AS data FROM n"
-        )
+            "SELECT i AS topic_id, i AS timestamp, i AS data FROM n",
+        ],
+    ],
+    ids=["another", "an endless view"],
+)
+def test_another_database_than_a_rosbag_2_is_refused(tmp_path, statements):
+    path = tmp_path / "a.db3"
+    with sqlite3.connect(path) as base:
+        for statement in statements:
+            base.execute(statement)
     base.close()
-    with pytest.raises(InvalidFile, match="got: the tables topics$"):
+    with pytest.raises(InvalidFile):
         open_recording(path, rig())
 
 
-@pytest.mark.parametrize("kind", ["mcap", "bag"])
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_file_cut_in_the_middle_of_a_chunk_gives_what_lies_before(tmp_path, kind, compressed):
-    compression = {"mcap": "STORAGE", "bag": "LZ4"}[kind] if compressed else None
-    path, data = whole(tmp_path, kind, compression=compression)
+@pytest.mark.parametrize("compression", [None, "STORAGE"])
+def test_an_mcap_cut_in_the_middle_of_a_chunk_gives_the_chunks_before(tmp_path, compression):
+    path, data = whole(tmp_path, "mcap", count=1500, compression=compression)
     _, recording = read(path)
     all_of_it = recording.report.observations
-    cut = int(len(data) * 0.4)
-    path.write_bytes(data[:cut])
+    path.write_bytes(data[: int(len(data) * 0.6)])
     observations, recording = read(path)
     assert 0.1 * all_of_it < len(observations) < 0.9 * all_of_it
-    assert f"the file ends at byte {cut}" in recording.report.truncated
-    assert any(
-        said.startswith(f"{path}: cut: the file ends at byte {cut}") for said in recording.report.sentences()
-    )
+    assert any("mcap recover" in fault for fault in recording.report.faults)
 
 
-def test_a_database_that_was_cut_gives_what_lies_before(tmp_path):
-    path, data = whole(tmp_path, "db3", count=2000)
-    cut = int(len(data) * 0.6)
-    path.write_bytes(data[:cut])
-    observations, recording = read(path)
-    assert len(observations) > 1000
-    assert recording.report.truncated == f"the file ends at byte {cut} of {len(data)}"
-
-
-@pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_file_that_was_never_closed_lacks_only_its_end(tmp_path, kind):
+@pytest.mark.parametrize(("kind", "tool"), [("bag", "rosbag reindex"), ("db3", "sqlite3")])
+@pytest.mark.parametrize("part", [0.4, 0.95])
+def test_a_bag_that_was_cut_is_refused_with_the_tool_that_mends_it(tmp_path, kind, tool, part):
     path, data = whole(tmp_path, kind)
-    if kind == "mcap":  # from DataEnd on there is only the summary
-        at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
-    else:
-        at = struct.unpack_from("<Q", data, data.index(b"index_pos=") + 10)[0]
-    first, _ = read(path)
-    path.write_bytes(data[:at])
-    observations, recording = read(path)
-    assert [seen.stamp for seen in observations] == [seen.stamp for seen in first]
-    assert recording.report.truncated is not None
-
-
-def test_a_file_longer_than_what_was_written_is_read(tmp_path):
-    path, data = whole(tmp_path, "mcap")
-    at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
-    first, _ = read(path)
-    path.write_bytes(data[:at] + bytes(1 << 20))
-    observations, recording = read(path)
-    assert len(observations) == len(first)
-    assert "without MCAP's footer" in recording.report.truncated
-
-
-def test_a_file_cut_before_its_first_topic_says_so(tmp_path):
-    path, data = whole(tmp_path, "mcap")
-    path.write_bytes(data[:60])
-    with pytest.raises(
-        InvalidFile,
-        match=r"expected joint states on /joint_states, got none; topics there: none \(the file ends",
-    ):
+    path.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(InvalidFile, match=tool):
         open_recording(path, rig())
 
 
-def test_a_damaged_chunk_is_reported_and_the_others_are_read(tmp_path):
+def test_an_mcap_that_was_never_closed_lacks_only_its_end(tmp_path):
+    path, data = whole(tmp_path, "mcap")
+    at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")  # from DataEnd on there is only the summary
+    first, _ = read(path)
+    for rest in (b"", bytes(1 << 20)):  # and the space that a recorder may have reserved
+        path.write_bytes(data[:at] + rest)
+        observations, recording = read(path)
+        assert [seen.stamp for seen in observations] == [seen.stamp for seen in first]
+        assert recording.report.faults
+
+
+def test_a_bag_that_was_never_closed_is_refused_with_the_tool_that_mends_it(tmp_path):
+    path, data = whole(tmp_path, "bag")
+    at = struct.unpack_from("<Q", data, data.index(b"index_pos=") + 10)[0]
+    path.write_bytes(data[:at])
+    with pytest.raises(InvalidFile, match="rosbag reindex"):
+        open_recording(path, rig())
+
+
+def test_an_mcap_without_its_index_is_read(tmp_path):
+    path, data = whole(tmp_path, "mcap")
+    first, _ = read(path)
+    at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
+    footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0)
+    path.write_bytes(data[:at] + footer + data[:8])
+    observations, recording = read(path)
+    assert [seen.stamp for seen in observations] == [seen.stamp for seen in first]
+    assert recording.report.faults == []
+
+
+def test_a_file_cut_before_its_first_topic_is_refused(tmp_path):
+    path, data = whole(tmp_path, "mcap")
+    path.write_bytes(data[:60])
+    with pytest.raises(InvalidFile, match="mcap recover"):
+        open_recording(path, rig())
+
+
+def test_a_damaged_chunk_is_reported_and_what_lies_before_is_read(tmp_path):
     path, data = whole(tmp_path, "mcap", count=1500)
-    _, recording = read(path)
-    before = recording.report.observations
+    first, _ = read(path)
     at = len(data) // 2
     spoilt = bytearray(data)
     spoilt[at : at + 3000] = bytes(3000)
     path.write_bytes(spoilt)
     observations, recording = read(path)
-    assert len(observations) < before
-    assert len(recording.report.files[0].damage) == 1
-    assert any("damaged: chunk at byte" in said for said in recording.report.sentences())
+    assert 0 < len(observations) < len(first)
+    # The last ones may lack a wrench that came in the damaged chunk.
+    assert [seen.stamp for seen in observations] == [seen.stamp for seen in first[: len(observations)]]
+    assert len(recording.report.faults) == 1
 
 
 def mcap_with_chunk(path, packed, size, compression, crc=0):
@@ -172,8 +184,6 @@ def mcap_with_chunk(path, packed, size, compression, crc=0):
 
 
 def bombs():
-    import bz2
-
     import lz4.frame
     from backports import zstd
 
@@ -181,40 +191,43 @@ def bombs():
     return {"zstd": zstd.compress(zeros), "lz4": lz4.frame.compress(zeros), "bz2": bz2.compress(zeros)}
 
 
+@contextmanager
+def at_most(most):
+    """Asserts that no more than this is allocated at any time [bytes]."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
+def refused_within(path, most):
+    """Asserts that a recording is refused, and that no more than this was allocated [bytes]."""
+    with at_most(most), pytest.raises(InvalidFile):
+        open_recording(path, rig())
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
 def test_a_chunk_unpacks_to_no_more_than_it_says(tmp_path, compression):
-    packed = bombs()[compression]
-    tracemalloc.start()
-    data, fault = chunks.unpacked(packed, compression, 1000)
-    assert tracemalloc.get_traced_memory()[1] < 4e6
-    tracemalloc.stop()
-    assert (data, fault) == (bytes(1000), None)
+    refused_within(mcap_with_chunk(tmp_path / "a.mcap", bombs()[compression], 1000, compression), 6e6)
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2", ""])
-def test_a_chunk_that_says_it_is_huge_is_not_unpacked(tmp_path, compression):
-    packed = (bombs() | {"": b"x"})[compression]
-    data, fault = chunks.unpacked(packed, compression, 1 << 62)
-    assert data == b""
-    assert fault == f"says it unpacks to {1 << 62} bytes, at most {chunks.CHUNKS.max_unpacked} are read"
-    with pytest.raises(InvalidFile, match="expected joint states"):
-        open_recording(mcap_with_chunk(tmp_path / "a.mcap", packed, 1 << 62, compression), rig())
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2", "", "rar"])
+def test_a_chunk_that_says_it_is_huge_or_of_an_unknown_kind_is_not_unpacked(tmp_path, compression):
+    packed = bombs().get(compression, b"x")
+    refused_within(mcap_with_chunk(tmp_path / "a.mcap", packed, 1 << 62, compression), 6e6)
 
 
-def test_frames_one_after_another_are_unpacked(tmp_path):
-    from backports import zstd
-
-    data, fault = chunks.unpacked(zstd.compress(b"ab") + zstd.compress(b"cd"), "zstd", 4)
-    assert (data, fault) == (b"abcd", None)
-
-
-def test_an_unknown_compression_is_named():
-    assert chunks.unpacked(b"x", "rar", 5) == (b"", "expected compression none, lz4, zstd or bz2, got 'rar'")
+@pytest.mark.parametrize("op", [3, 4, 5, 6, 9])
+@pytest.mark.parametrize("length", [1 << 60, 1 << 34, (1 << 64) - 1, 3])
+def test_a_length_that_lies_takes_no_memory(tmp_path, op, length):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", op, length) + b"\xff" * 100)
+    refused_within(path, 6e6)
 
 
 def test_a_chunk_with_a_wrong_checksum_is_not_used(tmp_path):
-    from zlib import crc32
-
     path, data = whole(tmp_path, "mcap", count=50)
     begin = data.index(b"\x06", 8)
     size = struct.unpack_from("<Q", data, begin + 9 + 16)[0]
@@ -222,8 +235,18 @@ def test_a_chunk_with_a_wrong_checksum_is_not_used(tmp_path):
     mcap_with_chunk(path, records, size, "", crc32(records))
     assert len(read(path)[0]) == 100
     mcap_with_chunk(path, records, size, "", crc32(records) ^ 1)
-    with pytest.raises(InvalidFile, match="expected joint states"):
+    with pytest.raises(InvalidFile):
         open_recording(path, rig())
+
+
+def test_a_chunk_of_a_bag_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
+    path = save(tmp_path, touched(messages=Messages(1)), "bag", compression="BZ2")
+    data = bytearray(path.read_bytes())
+    at, packed = data.index(b"BZh"), bz2.compress(bytes(1 << 28))
+    data[at : at + len(packed)] = packed
+    path.write_bytes(data)
+    with at_most(300e6), pytest.raises(InvalidFile):
+        read(path)
 
 
 def spoilt(data, rng):
@@ -256,7 +279,7 @@ def test_no_damage_brings_the_reader_down_and_every_message_is_counted_once(tmp_
             assert sum(counts) == topic.messages
         assert all(isinstance(said, str) for said in recording.report.sentences() + recording.lacks())
         path.unlink()
-    assert survived > 20
+    assert survived > 10
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -271,31 +294,21 @@ def test_random_bytes_behind_the_magic_are_no_recording(tmp_path_factory, tail):
 
 
 @pytest.mark.parametrize("kind", ["mcap", "db3"])
-def test_a_file_packed_from_next_to_nothing_is_refused_before_the_disk_is_full(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(chunks, "CHUNKS", chunks.CHUNKS._replace(spare_unpacked=1 << 20))
+def test_a_file_packed_from_next_to_nothing_is_refused_before_the_disk_is_full(tmp_path, kind):
+    from backports import zstd
+
     path = save(tmp_path, touched(), kind, compression="FILE")
     (file,) = path.glob("*.zstd")
-    compress = chunks.rosbags_module(chunks.UNPACKERS["zstd"][0]).compress
-    file.write_bytes(compress(bytes(1 << 24)))
-    with pytest.raises(
-        InvalidFile, match=f"^{file}: expected at most 200 times its bytes when unpacked, got more$"
-    ):
-        open_recording(path, rig())
-    file.write_bytes(b"nothing of that kind")
-    with pytest.raises(InvalidFile, match=f"^{file}: expected a file compressed by zstd, got none"):
-        open_recording(path, rig())
+    for content in (zstd.compress(bytes(3 << 27)), b"nothing of that kind"):
+        file.write_bytes(content)
+        with pytest.raises(InvalidFile):
+            open_recording(path, rig())
 
 
 def test_empty_messages_do_not_take_memory(tmp_path):
-    """A few kilobytes that unpack to 28 MB of messages of nothing."""
+    """A few kilobytes that unpack to many megabytes of messages of nothing."""
     path = tmp_path / "a.mcap"
-    path.write_bytes(packed_messages(300_000))
-    tracemalloc.start()
-    observations, recording = read(path)
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+    path.write_bytes(packed_messages(120_000))
+    with at_most(300e6):
+        observations, _ = read(path)
     assert observations == []
-    assert most < 100e6
-    assert any(
-        "at least a byte of the file for each message" in said for said in recording.report.sentences()
-    )

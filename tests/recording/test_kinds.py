@@ -13,6 +13,7 @@ from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, open_recording
 from messages.ros import FINGERS, JOINTS, START, Messages, everything, rig, touched
 from recording.bags import alone, read, save
+from testbed.refusals import refused
 
 KINDS = [
     ("mcap", None),
@@ -175,13 +176,6 @@ def test_what_the_writer_wrote_rosbags_reads(tmp_path, sample):
     assert found["/depth"].data.view("<u2").reshape(24, 32)[3, 7] == 0
 
 
-def test_a_recording_can_be_read_twice(tmp_path):
-    with open_recording(save(tmp_path, touched()), rig()) as recording:
-        first = [seen.stamp for seen in recording.observations()]
-        assert [seen.stamp for seen in recording.observations()] == first
-        assert recording.report.observations == len(first)
-
-
 def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
     stamps = START + np.random.default_rng(0).uniform(0, 1, size=50)
     with RecordingWriter(tmp_path / "a.mcap", rig()) as writer:
@@ -198,19 +192,10 @@ def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
     decode.typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
-    with told(), open_recording(path, rig()) as recording:
+    with pytest.raises(MissingExtra), open_recording(path, rig()) as recording:
         next(recording.observations())
-    with told():
+    with pytest.raises(MissingExtra):
         RecordingWriter(tmp_path / "a.mcap", rig())
-
-
-def told():
-    return pytest.raises(MissingExtra, match=r"recordings need rosbags: pip install 'handsight\[robot\]'")
-
-
-def test_importing_brings_nothing_of_ros():
-    code = "import sys, handsight.recording; sys.exit('rosbags' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
@@ -221,7 +206,7 @@ def test_a_recording_without_joint_states_says_what_is_there(tmp_path, kind):
     with pytest.raises(InvalidFile) as error:
         open_recording(path, rig())
     assert str(error.value) == (
-        f"{path}: expected joint states on /joint_states, got none; topics there: /ff/wrench, /th/wrench"
+        f"{path}: expected joint states on /joint_states, got none; valid: /ff/wrench, /th/wrench"
     )
 
 
@@ -236,10 +221,7 @@ def test_a_topic_of_joint_states_without_messages_says_so_at_the_end(tmp_path):
         writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=messages.store)
         message = messages.wrench(START, np.ones(6))
         writer.write(wrench, int(START * 1e9), messages.store.serialize_cdr(message, message.__msgtype__))
-    with (
-        open_recording(tmp_path / "a", rig()) as recording,
-        pytest.raises(InvalidFile, match="expected joint states"),
-    ):
+    with open_recording(tmp_path / "a", rig()) as recording, refused(InvalidFile, "a"):
         list(recording.observations())
 
 
@@ -254,3 +236,8 @@ def test_a_lens_that_was_written_is_read(tmp_path, sample, count):
     found = recording.intrinsics.lens
     np.testing.assert_array_equal(found[:count], lens)
     assert not found[count:].any()
+
+
+def test_importing_brings_nothing_of_ros():
+    code = "import sys, handsight.recording; sys.exit(bool({'rosbags', 'mcap'} & sys.modules.keys()))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -12,6 +12,7 @@ from handsight.errors import InvalidFile, InvalidInput, NotWritten
 from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, TrackRow, write_track_csv, write_track_mcap, write_track_tum
 from messages.ros import START, Messages, rig
+from testbed.refusals import refused
 
 RNG = np.random.default_rng(0)
 SIGMAS = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])
@@ -88,7 +89,7 @@ def test_mcap(tmp_path):
 
 @pytest.mark.parametrize("write", [write_track_mcap, write_track_tum, write_track_csv])
 def test_a_missing_folder_is_an_error_in_a_sentence(tmp_path, write):
-    with pytest.raises(InvalidFile, match=r"none/a: cannot be written: No such file or directory"):
+    with refused(InvalidFile, "a"):
         write(tmp_path / "none" / "a", ROWS)
 
 
@@ -98,41 +99,32 @@ def test_no_rows_are_a_file_too(tmp_path, write):
     assert (tmp_path / "a").is_file()
 
 
-def test_a_row_is_checked():
-    with pytest.raises(InvalidInput, match="row.stamp: expected a finite number, got nan"):
-        TrackRow(np.nan, None, None, "lost")
-    with pytest.raises(InvalidInput, match="row.T_palm_object: expected finite numbers of shape"):
-        TrackRow(0.0, np.eye(3), None, "tracking")
-    with pytest.raises(InvalidInput, match="row.covariance: expected a positive"):
-        TrackRow(0.0, np.eye(4), -np.eye(6), "tracking")
-
-
 @pytest.mark.parametrize(
-    ("observation", "said"),
+    ("observation", "field"),
     [
-        (Observation(-1.0), r"stamp: expected seconds from 0 to 2147483648, got -1.0"),
-        (Observation(np.nan), r"stamp: expected seconds"),
-        (Observation(1.0, wrenches={"lf": np.zeros(6)}), r"wrenches: expected fingers ff, th, got 'lf'"),
+        (Observation(-1.0), "stamp"),
+        (Observation(np.nan), "stamp"),
+        (Observation(1.0, wrenches={"lf": np.zeros(6)}), "topics.wrenches.lf"),
         (
             Observation(1.0, wrenches={"ff": np.full(6, np.nan)}),
-            r"wrenches\['ff'\]: expected 6 finite numbers",
+            "wrenches['ff']",
         ),
         (
             Observation(1.0, T_world_palm=np.eye(4)),
-            r"topics.tf: expected a topic in the rig to write to, got none",
+            "topics.tf",
         ),
-        (Observation(1.0, vision=PoseMeasurement(np.eye(4))), r"topics.vision: expected a topic"),
-        (Observation(1.0, depth=np.ones((2, 2), np.float32)), r"topics.depth: expected a topic"),
-        (Observation(1.0, color=np.ones((2, 2, 3), np.uint8)), r"topics.color: expected a topic"),
+        (Observation(1.0, vision=PoseMeasurement(np.eye(4))), "topics.vision"),
+        (Observation(1.0, depth=np.ones((2, 2), np.float32)), "topics.depth"),
+        (Observation(1.0, color=np.ones((2, 2, 3), np.uint8)), "topics.color"),
     ],
 )
-def test_what_the_rig_has_no_place_for_is_not_written(tmp_path, observation, said):
+def test_what_the_rig_has_no_place_for_is_not_written(tmp_path, observation, field):
     robot = rig(tf=None, vision=None, color=None, depth=None, truth=None)
-    with RecordingWriter(tmp_path / "a.mcap", robot) as writer, pytest.raises(InvalidInput, match=said):
+    with RecordingWriter(tmp_path / "a.mcap", robot) as writer, refused(InvalidInput, field):
         writer.write(observation)
     with (
         RecordingWriter(tmp_path / "a.mcap", robot) as writer,
-        pytest.raises(InvalidInput, match="topics.truth"),
+        refused(InvalidInput, "topics.truth"),
     ):
         writer.write_truth(1.0, np.eye(4))
 
@@ -148,16 +140,8 @@ def test_what_was_written_before_an_error_is_kept(tmp_path):
     reader.close()
 
 
-def test_a_closed_writer_says_so(tmp_path):
-    writer = RecordingWriter(tmp_path / "a.mcap", rig())
-    writer.close()
-    writer.close()
-    with pytest.raises(InvalidInput, match="expected an open file to write to, got a closed one"):
-        writer.write(Observation(1.0, {"j0": 0.0}))
-
-
 def test_a_folder_is_not_replaced_by_a_file(tmp_path):
-    with pytest.raises(InvalidFile, match="expected a file to write, got a folder"):
+    with refused(InvalidFile, tmp_path.name):
         RecordingWriter(tmp_path, rig())
 
 
@@ -170,7 +154,7 @@ def test_a_track_that_does_not_fit_on_the_disk_leaves_no_file_cut_short(tmp_path
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
-        with pytest.raises(NotWritten, match="track: cannot be written: File too large"):
+        with refused(NotWritten, "track"):
             write(path, rows)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

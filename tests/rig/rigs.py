@@ -82,6 +82,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             sigma_rotation=b,
             sigma_position_constant=c,
             sigma_rotation_constant=a + b,
+            sigma_ray=c,
             sigma_position_correlated=b,
             sigma_rotation_correlated=c,
             correlation_time=1 + a,
@@ -117,6 +118,8 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
                 sigma_point=2.5e-4,
                 sigma_normal=0.07,
                 sigma_mount=7e-4,
+                stiffness=6e7,
+                sigma_stiffness=2e7,
             )
         },
         objects={

@@ -3,7 +3,8 @@
 `rclpy_robot.py steps.pickle answers.pickle`; a step is one of
 
 * `("say", [(topic, type, seconds, bytes), ...])`: once each topic is listened to, at their pace;
-* `("hear", topic, count)`: until that many messages have come; `("told", text)`: until diagnostics have it from now on;
+* `("hear", topic, count)`: until that many messages have come;
+* `("told", text)`: until diagnostics have it, since it last began to say something;
 * `("set", name, text)`: a parameter of the node; `("call", service)`: a Trigger, whose answer is kept as a message is.
 """
 
@@ -42,7 +43,10 @@ def made(kind):
 
 class Robot:
     def __init__(self):
-        self.node, self.heard, self.speak = rclpy.create_node("robot"), [], {}
+        self.node = rclpy.create_node("robot")
+        self.heard = []
+        self.speak = {}
+        self.before = 0  # number of messages heard before it last began to say something
         for topic, kind in ANSWERED.items():
 
             def hear(data, topic=topic, kind=kind):
@@ -58,6 +62,7 @@ class Robot:
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def say(self, messages):
+        self.before = len(self.heard)
         new = {topic: kind for topic, kind, *_ in messages if topic not in self.speak}
         for topic, kind in new.items():
             self.speak[topic] = self.node.create_publisher(made(kind), topic, KEPT)
@@ -76,11 +81,12 @@ class Robot:
         self.wait_for(lambda: sum(each[0] == topic for each in self.heard) >= count, f"{count} on {topic}")
 
     def told(self, text):
-        diagnosed, before = "/diagnostics", len(self.heard)
-        self.wait_for(
-            lambda: any(text.encode() in each[2] for each in self.heard[before:] if each[0] == diagnosed),
-            text,
-        )
+        def diagnosed():
+            since = self.heard[self.before :]
+            return any(text.encode() in data for topic, _, data in since if topic == "/diagnostics")
+
+        # What is wrong is said for ten seconds, which may be over before a slow machine has said all.
+        self.wait_for(diagnosed, text)
 
     def set(self, name, text):
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text)

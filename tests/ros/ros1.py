@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from handsight.messages.decode import typestore
-from handsight.recording.rosbag1 import Rosbag1Source
+from handsight.recording.bags import Rosbag1Source
 
 PACKAGE = Path(__file__).parents[2] / "ros" / "handsight_ros1"
 MISSING = [name for name in ("rosmaster", "rosbag") if shutil.which(name) is None]

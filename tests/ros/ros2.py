@@ -31,11 +31,7 @@ ANSWERED = {
 }
 DOMAIN = 1 + os.getpid() % 100
 """Of each worker its own."""
-ALONE = {
-    "ROS_DOMAIN_ID": str(DOMAIN),
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "PYTHONUNBUFFERED": "1",
-}
+ALONE = {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
 KNOWN_AFTER = 1.0
 """Two find each other one after the other, and only one side's finding can be seen here: the other has by then [s]."""
 BOTH_WAYS = Qos(Policy.Reliability.Reliable(10**9), Policy.History.KeepLast(2000))
@@ -158,10 +154,7 @@ def same(answers, expected):
     assert expected
     assert set(found) == set(expected)
     np.testing.assert_allclose(
-        [found[stamp][0][:3] for stamp in expected],
-        [T[:3, 3] for T in expected.values()],
-        rtol=0,
-        atol=1e-9,
+        [found[stamp][0][:3] for stamp in expected], [T[:3, 3] for T in expected.values()], rtol=0, atol=1e-9
     )
 
 

@@ -84,10 +84,7 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
         path = running.recorded(recorder)
         assert set(found) == set(expected)
         np.testing.assert_allclose(
-            [found[stamp][:3] for stamp in expected],
-            [T[:3, 3] for T in expected.values()],
-            rtol=0,
-            atol=1e-9,
+            [found[stamp][:3] for stamp in expected], [T[:3, 3] for T in expected.values()], rtol=0, atol=1e-9
         )
         own = [link for each in links for link in each.transforms if link.child_frame_id == "object"]
         assert [stamp_of(link) for link in own] == sorted(found)
@@ -155,19 +152,19 @@ def test_a_wrong_parameter_is_said_in_a_sentence_and_so_is_that_there_is_no_mast
     with graph(tmp_path) as running:
         for given, expected in (
             ({"object": "spoon"}, "object: expected a name of the rig (can)"),
-            ({"images": "maybe"}, "parameter images: expected true or false, got 'maybe'"),
+            ({"images": "maybe"}, "parameter images: expected true or false, got maybe (a text)"),
             (
                 {"images": "true", "objekt": "can"},
-                "parameter objekt: unknown; the nearest valid one is 'object'",
+                "parameter objekt: unknown key; the nearest valid one is 'object'",
             ),
         ):
-            with pytest.raises(AssertionError, match="the node ended") as error:
+            with pytest.raises(AssertionError) as error:
                 running.node(RIG, **given)
             assert expected in str(error.value)
             assert "Traceback" not in str(error.value)
         running.master.kill()
         running.master.wait()
-        with pytest.raises(AssertionError, match="the node ended") as error:
+        with pytest.raises(AssertionError) as error:
             running.node(RIG)
         assert f"handsight: no ROS master answers at {running.uri}" in str(error.value)
 

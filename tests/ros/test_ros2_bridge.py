@@ -60,7 +60,8 @@ def test_a_wrong_type_is_named_a_robot_that_dies_is_outlived_and_reset_is_a_topi
         robot = Robot(joined, messages, as_type={"/th/wrench": "std_msgs/msg/String"})
         heard_by_the_bridge(running, robot, "/joint_states", "/ff/wrench", "/tf")
         robot.play()
-        wrong = f"/th/wrench: 1 of 1 messages left out: expected {RosType.WRENCH}, got std_msgs/msg/String"
+        came = f"expected {RosType.WRENCH}, got std_msgs/msg/String"
+        wrong = f"finger th: no wrench on /th/wrench: {came}"
         running.wait_for(lambda: wrong in robot.told(), "the wrong type's name", bridge)
         late = said()[-1].log_time - 0.5
         running.wait_for(lambda: max(poses(robot.heard), default=0.0) > late, "poses until the end", bridge)
@@ -86,7 +87,7 @@ def test_what_cannot_be_followed_is_said_in_a_sentence(tmp_path):
             ("nowhere.yaml", (), "nowhere.yaml"),
             (RIG, ("--object", "spoon"), "object: expected a name of the rig (can)"),
         ):
-            with pytest.raises(AssertionError, match="the bridge ended") as error:
+            with pytest.raises(AssertionError) as error:
                 running.bridge(rig, *options)
             assert said_of_it in str(error.value)
             assert "Traceback" not in str(error.value)

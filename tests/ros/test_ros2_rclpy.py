@@ -78,10 +78,10 @@ def test_poses_are_those_of_track(tmp_path, release, kind):
 def test_what_the_node_cannot_follow_is_said_in_a_sentence(tmp_path):
     with processes(tmp_path) as running:
         for given, expected in (
-            ({"objekt": "can"}, "parameter objekt: unknown; the nearest valid one is 'object'"),
-            ({"images": "maybe"}, "parameter images: expected true or false, got 'maybe'"),
+            ({"objekt": "can"}, "parameter objekt: unknown key; the nearest valid one is 'object'"),
+            ({"images": "maybe"}, "parameter images: expected true or false, got maybe (a text)"),
         ):
-            with pytest.raises(AssertionError, match="the node ended") as error:
+            with pytest.raises(AssertionError) as error:
                 running.node(RIG, **given)
             assert expected in str(error.value)
             assert "Traceback" not in str(error.value)
@@ -97,7 +97,7 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
     ]
     half = len(play) // 2
     touch = [each for each in play[:half] if each[0] != "/vision/object"]
-    named = f"{wrong}: 1 of 1 messages left out: expected {RosType.WRENCH}, got {STRING}"
+    named = f"on {wrong}: expected {RosType.WRENCH}, got {STRING}"
     with processes(tmp_path) as running:
         asks = robot(
             running,

@@ -1,4 +1,4 @@
-"""What touch cannot tell from each other, a search with it, and what it says."""
+"""What touch cannot tell from each other, and a search with it."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,8 @@ import trimesh
 
 import handsight as hs
 from handsight.correction import pose_distances
-from handsight.search import (
-    Belief,
-    Touch,
-    best_sweep,
-    open_text,
-    symmetry_text,
-    touch_text,
-    with_symmetries_of_touch,
-)
-from handsight.viewer.search_figure import draw_search
-from touch_scenes import RADIUS, area, can, level, touched
+from handsight.search import Belief, Touch, best_sweep, with_symmetries_of_touch
+from testbed.scenes import SWEEP_RADIUS, can, level_sweep, search_area, swept_touch
 
 SIGMA = 0.0025
 
@@ -41,19 +32,12 @@ def mug():
     return scanned(trimesh.convex.convex_hull(np.vstack([round_part, handle])))
 
 
-@pytest.mark.parametrize(
-    ("model", "axes", "rotations", "text"),
-    [
-        (tin, 1, 2, "touch cannot tell its spin about its axis nor one end from the other"),
-        (carton, 0, 4, "touch cannot tell 4 of its rotations from each other"),
-    ],
-)
-def test_a_scanned_can_is_round_to_touch_and_a_box_has_its_flips(model, axes, rotations, text):
+@pytest.mark.parametrize(("model", "axes", "rotations"), [(tin, 1, 2), (carton, 0, 4)])
+def test_a_scanned_can_is_round_to_touch_and_a_box_has_its_flips(model, axes, rotations):
     scan = model()
     assert scan.symmetries.trivial
     to_touch = with_symmetries_of_touch(scan, SIGMA)
     assert (len(to_touch.symmetries.axes), len(to_touch.symmetries.rotations)) == (axes, rotations)
-    assert symmetry_text(to_touch) == text
 
 
 def test_a_mug_is_not_round_to_touch_and_declared_symmetries_stay():
@@ -64,42 +48,29 @@ def test_a_mug_is_not_round_to_touch_and_declared_symmetries_stay():
 def test_a_search_for_a_round_mesh_ends():
     """Without its symmetry it is never sure of the spin."""
     model, rng = with_symmetries_of_touch(tin(), SIGMA), np.random.default_rng(5)
-    here = area()
+    here = search_area()
     T = here.poses(model, here.draw(1, np.random.default_rng(3)))[0]
     belief = Belief(model, here)
     while not belief.modes[0].is_certain and len(belief.touches) < 8:
-        belief = belief.after(touched(model, T, best_sweep(belief, (0.08, 0.1), RADIUS), rng))
+        belief = belief.after(swept_touch(model, T, best_sweep(belief, (0.08, 0.1), SWEEP_RADIUS), rng))
     assert belief.modes[0].is_certain
     shift, _ = pose_distances(model, T[None], belief.pose.T_a_b)
     assert shift[0] < 0.008
-    assert f"touch {len(belief.touches)}: " in touch_text(belief)
 
 
 def test_a_contact_with_something_else_is_outvoted():
     """A cable beside the can, 8 cm from its surface, is met by the second of six sweeps."""
     T = np.eye(4)
-    T[2, 3] = 0.061
-    belief, rng = Belief(can(), area()), np.random.default_rng(0)
+    T[2, 3] = 0.0575
+    belief, rng = Belief(can(), search_area()), np.random.default_rng(0)
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, 6, endpoint=False)):
         along = np.array([np.cos(angle), np.sin(angle)])
-        touch = touched(can(), T, level(-0.3 * along, along, 0.6), rng)
+        touch = swept_touch(can(), T, level_sweep(-0.3 * along, along, 0.6), rng)
         if k == 1:
             near = touch.contact_world.points_palm - 0.08 * np.array([*along, 0.0])
             contact = hs.Contacts(near, touch.contact_world.normals_palm, 1e-3, 0.05)
-            free = touch.free_world[(touch.free_world - near) @ [*along, 0.0] < -RADIUS]
-            touch = Touch(free, RADIUS, touch.sigma, contact)
+            free = touch.free_world[(touch.free_world - near) @ [*along, 0.0] < -SWEEP_RADIUS]
+            touch = Touch(free, SWEEP_RADIUS, touch.sigma, contact)
         belief = belief.after(touch)
     shift, _ = pose_distances(can(), T[None], belief.pose.T_a_b)
     assert shift[0] < 0.004
-
-
-def test_what_is_open_is_said_and_drawn(tmp_path):
-    pytest.importorskip("matplotlib")
-    model = with_symmetries_of_touch(carton(), SIGMA)
-    before = Belief(model, area())
-    assert "the position is open (±" in open_text(before)
-    assert "the spin about the vertical is open" in open_text(before)
-    T = before.Ts_world_object[0]
-    after = before.after(touched(model, T, best_sweep(before, (0.1,), RADIUS), np.random.default_rng(0)))
-    draw_search("carton", [before, after], T, tmp_path / "search.png")
-    assert (tmp_path / "search.png").stat().st_size > 10_000

@@ -17,17 +17,22 @@ FINGER = """
   <joint name="{0}_knuckle" type="revolute"><parent link="palm"/><child link="{0}_low"/>
     <origin xyz="{1} {2} 0.02" rpy="0 0 {3}"/><axis xyz="0 1 0"/><limit lower="-0.9" upper="0.9" effort="1" velocity="1"/></joint>
   <joint name="{0}_middle" type="revolute"><parent link="{0}_low"/><child link="{0}_end"/>
-    <origin xyz="0 0 0.05"/><axis xyz="0 1 0"/><limit lower="-1.2" upper="1.2" effort="1" velocity="1"/></joint>"""
+    <origin xyz="0 0 0.05"/><axis xyz="0 1 0"/><limit lower="-1.2" upper="1.2" effort="1" velocity="1"/>{4}</joint>"""
 ARM = """
   <link name="base"/>
   <joint name="wrist" type="continuous"><parent link="base"/><child link="palm"/><origin xyz="0.1 0 0.4" rpy="0.2 0 0.5"/>
     <axis xyz="0 0 1"/></joint>"""
 
 
-def written(folder, *, reading="on_tip", arm=""):
-    """The rig file of a hand with a finger against two others; each bends at two joints, towards the middle or away."""
+def written(folder, *, reading="on_tip", arm="", follows=None):
+    """The rig file of a hand with a finger against two others; each bends at two joints, towards the middle or away.
+
+    `follows`: the ratio by which the second joint follows the first one, and the position at which it begins; None: it
+    has its own motor."""
     fingers = {"one": (-0.045, 0.0, 0.0), "two": (0.045, 0.025, 3.14159), "three": (0.045, -0.025, 3.14159)}
-    parts = "".join(FINGER.format(name, *place) for name, place in fingers.items())
+    mimic = '<mimic joint="{}_knuckle" multiplier="{}" offset="{}"/>'
+    coupled = {name: mimic.format(name, *follows) if follows else "" for name in fingers}
+    parts = "".join(FINGER.format(name, *place, coupled[name]) for name, place in fingers.items())
     palm = '<link name="palm"><collision><geometry><box size="0.1 0.08 0.02"/></geometry></collision></link>'
     (folder / "claw.urdf").write_text(f'<robot name="claw">{arm}{palm}{parts}</robot>')
     tips = "".join(

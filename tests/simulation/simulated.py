@@ -5,9 +5,10 @@ import functools
 
 import numpy as np
 
+import shared
 from handsight import se3
 from handsight.contact import Contact, compensate, contact_from_wrench
-from handsight.simulation import Nuisances, Scenario, rig_of, simulate
+from handsight.simulation import Nuisances, Scenario, rig_of
 
 NONE = Nuisances.none()
 
@@ -15,7 +16,9 @@ NONE = Nuisances.none()
 @functools.cache
 def samples(kind="can", seed=0, motion="grasp", rate=10.0, nuisances=NONE):
     """All samples of a scenario; nuisances off unless told."""
-    return tuple(simulate(Scenario(object=kind, seed=seed, motion=motion, rate=rate, nuisances=nuisances)))
+    return tuple(
+        shared.simulated(Scenario(object=kind, seed=seed, motion=motion, rate=rate, nuisances=nuisances))
+    )
 
 
 def only(**settings):

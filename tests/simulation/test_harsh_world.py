@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.errors import InvalidInput
 from handsight.simulation import (
     Nuisances,
     Scenario,
     constant_errors,
-    model_of,
     rig_of,
-    scenario,
     simulate,
     simulate_each,
 )
-from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.scene import FINGERS, UNLOADED, tip_shape
-from handsight.simulation.world import Payload, World
+from handsight.simulation.tables import tables
+from handsight.simulation.world import Payload
 from simulation.simulated import NONE, only
 
 USUAL = Nuisances()
@@ -71,17 +68,6 @@ def test_a_nuisance_changes_its_own_readings_and_leaves_all_others_bit_for_bit(n
         if b.observation.vision is not None:
             pose, alone = (s.observation.vision.T_frame_object for s in (b, a))
             assert np.array_equal(pose, alone) or changed[name] == "vision"
-
-
-def test_several_nuisances_measured_in_one_world_are_those_of_a_simulation_each():
-    base = Scenario(object="box", seed=3, rate=50.0)
-    noisy = dataclasses.replace(USUAL, force_noise=0.03, force_gain=0.03, message_loss=0.1)
-    both = [sample for _, sample in simulate_each(base, [USUAL, noisy]) if sample is not None]
-    alone = list(simulate(dataclasses.replace(base, nuisances=noisy)))
-    assert [s.observation.stamp for s in both] == [s.observation.stamp for s in alone]
-    np.testing.assert_array_equal(wrenches(both), wrenches(alone))
-    with pytest.raises(InvalidInput, match=r"variants\[1\]: expected the world of the scenario's nuisances"):
-        next(simulate_each(base, [USUAL, Nuisances(friction=0.5)]))
 
 
 def test_gains_are_constant_and_of_the_stated_sigma():
@@ -161,51 +147,18 @@ def test_true_tips_differ_from_the_rigs_as_drawn_and_by_two_sigma_at_most():
     np.testing.assert_allclose(many.std(), 2e-4, rtol=0.15)
 
 
-def test_tips_sink_deeper_into_an_object_with_softer_contacts():
-    def overlap(softness):
-        world = World(Scenario(object="box", nuisances=only(contact_softness=softness)), grasp_for("box", 0))
-        while world.time < 1.5:
-            world.step()
-        return np.mean([depth for geom, _, depth in world.touches() if geom.endswith("_tip")])
-
-    assert 1.5 * overlap(0.0) < overlap(1.0) < 1e-3
-
-
-def test_friction_is_limited_by_a_cone_or_by_a_pyramid_within_it():
-    cone, pyramid = (
-        Payload.of(Scenario(nuisances=only(pyramidal_friction=k))).scene.model.opt for k in (0, 1)
-    )
-    assert (cone.cone, pyramid.cone) == (1, 0)  # MuJoCo's mjCONE_ELLIPTIC and mjCONE_PYRAMIDAL
-    with pytest.raises(InvalidInput, match="pyramidal_friction: expected 0 or 1, got 0.5"):
-        Nuisances(pyramidal_friction=0.5)
-
-
-@pytest.mark.parametrize("kind", ["can", "box"])
-def test_the_declared_mass_is_a_share_of_the_true_one_at_the_homogeneous_centre(kind):
-    model = model_of(Scenario(object=kind, nuisances=only(declared_mass=1.1, object_mass=0.2)))
-    assert model.mass == pytest.approx(0.22)
-    np.testing.assert_allclose(model.center_of_mass, 0, atol=1e-9)
-    assert model_of(Scenario(object=kind)).mass is None
-
-
 def test_a_harsh_world_is_drawn_by_its_seed_from_the_stated_ranges():
     worlds = [Nuisances.harsh(seed) for seed in range(200)]
     assert Nuisances.harsh(7) == worlds[7] != worlds[8]
-    for name, (low, high) in scenario.HARSH.items():
+    for name, (low, high) in tables()["harsh"].items():
         drawn = np.array([getattr(world, name) for world in worlds])
-        drawn = np.log(drawn) if name == "object_mass" else drawn
+        if name == "object_mass":
+            drawn, (low, high) = np.log(drawn), np.log([low, high])
         assert low <= drawn.min() < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < drawn.max() <= high
         np.testing.assert_allclose(drawn.mean(), (low + high) / 2, atol=0.1 * (high - low))
-    others = {item.name for item in dataclasses.fields(Nuisances) if item.name not in scenario.HARSH}
+    others = {item.name for item in dataclasses.fields(Nuisances) if item.name not in tables()["harsh"]}
     assert all(getattr(worlds[0], name) == getattr(USUAL, name) for name in others)
-
-
-def test_a_size_that_is_no_longer_drawn_changes_no_other(monkeypatch):
-    before = dataclasses.asdict(Nuisances.harsh(3))
-    fewer = {name: limits for name, limits in scenario.HARSH.items() if name != "force_gain"}
-    monkeypatch.setattr(scenario, "HARSH", fewer)
-    assert dataclasses.asdict(Nuisances.harsh(3)) == before | {"force_gain": 0.0}
 
 
 def test_a_harsh_world_gives_the_same_samples_again():
@@ -217,22 +170,3 @@ def test_a_harsh_world_gives_the_same_samples_again():
     np.testing.assert_array_equal(wrenches(runs[0]), wrenches(runs[1]))
     usual = list(simulate(Scenario(object="box", seed=1, rate=50.0)))
     assert len(runs[0]) < len(usual)
-
-
-def test_the_usual_readings_are_the_worlds_with_the_same_draws_as_ever():
-    """Recordings of a seed stay what they were: readings are computed here from the exact ones."""
-    none = only(pull_force=USUAL.pull_force)  # of no consequence: nothing is pulled
-    variants = [none, dataclasses.replace(USUAL, tip_compliance=0.0)]
-    runs = simulate_each(Scenario(object="box", seed=4, rate=10.0), variants)
-    exact, usual = zip(*runs, strict=True)
-    rng, noise, n = np.random.default_rng((4, 2)), np.random.default_rng((4, 3)), USUAL
-    offsets, _, drift = n.joint_offset * rng.normal(size=24), rng.normal(size=(5, 6)), rng.normal(size=(5, 6))
-    drift_sigma, noise_sigma = (
-        np.repeat(pair, 3) for pair in ((n.force_drift, n.torque_drift), (n.force_noise, n.torque_noise))
-    )
-    for a, b in zip(exact, usual, strict=True):
-        of_joints, of_wrenches = n.joint_noise * noise.normal(size=24), noise.normal(size=(5, 6))
-        true, read = (np.array(list(s.observation.joint_positions.values())) for s in (a, b))
-        np.testing.assert_allclose(read, true + offsets + of_joints, rtol=0, atol=1e-14)
-        errors = drift_sigma * drift * a.observation.stamp + noise_sigma * of_wrenches
-        np.testing.assert_allclose(wrenches([b])[0], wrenches([a])[0] + errors, rtol=0, atol=1e-13)

@@ -1,8 +1,6 @@
 """Any hand of a rig grasps in simulation: its scene, its sensors, its grasps, and what is said where there is none."""
 
-import itertools
 import json
-import math
 import re
 from dataclasses import replace
 
@@ -15,23 +13,15 @@ from cli.commands import called
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.recording import Recording
-from handsight.simulation import Nuisances, Scenario, find_grasp, grasp_fit, rig_of, simulate
+from handsight.simulation import Nuisances, Scenario, find_grasp, rig_of, simulate
 from handsight.simulation.grasp_fit import HandFit
+from handsight.simulation.grasped_body import body_of
 from handsight.simulation.scene import convex_hull, mujoco_module, scene
-from handsight.simulation.shadow_grasps import body_of
 from handsight.simulation.world import World
 from simulation.own_hands import ARM, FILES, real, written
+from testbed.refusals import refused
 
 NONE = Nuisances.none()
-FIT = grasp_fit.FIT
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_starts():
-    """The claw is a simple hand, for which few starts do."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grasp_fit, "FIT", FIT._replace(starts=8, drawn=30, points=60))
-        yield
 
 
 @pytest.fixture
@@ -45,8 +35,8 @@ def claw(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def grasp(claw):
-    found = find_grasp(Scenario(object="box", rig=claw))
+def grasp(claw, made_once):
+    found = made_once("the claw's grasp of the box", lambda: find_grasp(Scenario(object="box", rig=claw)))
     assert found.succeeded
     return found.grasp
 
@@ -91,6 +81,18 @@ def test_an_arm_in_the_hands_file_is_left_out(tmp_path, rng):
     assert_tips_are_where_the_hand_has_them(rig, rng)
 
 
+def test_of_a_tip_on_a_link_without_shapes_the_link_that_carries_it_does_not_collide(tmp_path):
+    rig = written(tmp_path)
+    rig.write_text(rig.read_text().replace("frame: one_end", "frame: one_tip"))
+    urdf = tmp_path / "claw.urdf"
+    fixed = '<joint name="glue" type="fixed"><parent link="one_end"/><child link="one_tip"/></joint>'
+    urdf.write_text(urdf.read_text().replace("</robot>", f'<link name="one_tip"/>{fixed}</robot>'))
+    model = scene("box", rig=hs.Rig.from_file(rig)).model
+    colliding = {model.body(model.geom_bodyid[k]).name for k in np.flatnonzero(model.geom_contype & 1)}
+    assert {"hand/one_low", "hand/two_low", "one_tip", "two_tip"} <= colliding
+    assert colliding.isdisjoint({"hand/one_end", "hand/two_end"})
+
+
 @pytest.mark.parametrize("reading", ["on_tip", "on_sensor"])
 def test_an_untouched_tips_reading_is_its_bias_and_weight_by_the_rigs_own_calibration(
     reading, tmp_path, grasp
@@ -123,7 +125,7 @@ def test_contacts_sensed_from_the_rigs_wrenches_are_the_simulators(claw, grasp):
 
 
 def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
-    fit = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)
+    fit = HandFit(scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)
     found = [(grasp, name) for (grasp, _, name), _ in zip(fit.grasps(), range(8), strict=False) if grasp]
     assert found
     for grasp, name in found:
@@ -139,15 +141,6 @@ def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
             assert np.linalg.norm(outside) > 0.01
 
 
-def test_the_corners_of_the_links_must_be_clear_of_the_object_too(claw):
-    surface = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)._surface
-    points = surface.points_palm(dict.fromkeys(surface.joints, 0.0))
-    corners = list(itertools.product((-0.05, 0.05), (-0.04, 0.04), (-0.01, 0.01)))  # of the palm
-    low = itertools.product((-0.007, 0.007), (-0.007, 0.007), (0.005, 0.045))  # of a finger's first link
-    corners += [(x - 0.045, y, z + 0.02) for x, y, z in low]
-    assert np.linalg.norm(points - np.array(corners)[:, None], axis=2).min(axis=1).max() < 1e-9
-
-
 @pytest.mark.slow
 def test_a_gripper_whose_jaws_slide_grasps_too(tmp_path):
     rig = written(tmp_path)
@@ -161,35 +154,24 @@ def test_a_gripper_whose_jaws_slide_grasps_too(tmp_path):
         '<axis xyz="1 0 0"/><limit lower="-0.03" upper="0.03"',
     )
     (tmp_path / "claw.urdf").write_text(text)
-    # The box, for each of four seeds; a can slides away on the table between jaws, for two seeds of three.
+    # The box, for two seeds of four; a can slides away on the table between jaws, for two seeds of three.
     found = find_grasp(Scenario(object="box", rig=hs.Rig.from_file(rig)))
     assert found.succeeded
     # Jaws aim beyond where they touch, by millimetres: a slide is as stiff as a hinge on an arm of 5 cm.
     assert max(abs(aim) for joint, aim in found.grasp.closed.items() if "knuckle" in joint) < 0.05
 
 
-def test_the_opening_is_how_far_two_fingertips_can_be_from_each_other(claw):
-    fit = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)
-    # Both joints of two opposite fingers stretched outwards reach farthest, in the plane of finger and hinge.
-    turns = [np.array([a, b]) for a in np.linspace(-0.9, 0.9, 19) for b in np.linspace(-1.2, 1.2, 25)]
-    out = max(0.05 * math.sin(a) + 0.035 * math.sin(a + b) for a, b in turns)
-    widest = math.hypot(0.09 + 2 * out, 0.025) - 0.02
-    assert 0.9 * widest < fit.opening <= widest + 1e-3
-
-
 def test_a_rig_without_wrenches_is_refused_with_the_finger_that_has_none(claw):
     rig = replace(claw, topics=replace(claw.topics, wrenches={"one": "/claw/one"}))
-    with pytest.raises(
-        InvalidInput, match="topics.wrenches: expected one for each fingertip .*, got none for two"
-    ):
+    with refused(InvalidInput, "topics.wrenches"):
         find_grasp(Scenario(object="box", rig=rig))
-    with pytest.raises(InvalidInput, match="sensors: expected wrench"):
+    with refused(InvalidInput, "sensors"):
         Scenario(object="box", rig=claw, sensors="xela")
 
 
 def test_the_command_records_the_hand_of_a_rig_and_track_runs_on_it(tmp_path, monkeypatch, capsys):
     rig = written(tmp_path)
-    arguments = ("simulate", "box", "--rig", rig.name, "--motion", "weigh", "-o", "b.mcap")
+    arguments = ("simulate", "box", "--rig", rig.name, "--motion", "weigh", "--output", "b.mcap")
     assert called(monkeypatch, tmp_path, *arguments, columns=200) == 0
     assert "the last one holds" in capsys.readouterr().err
     again = hs.Rig.from_file(tmp_path / "b.rig.yaml")
@@ -199,7 +181,7 @@ def test_the_command_records_the_hand_of_a_rig_and_track_runs_on_it(tmp_path, mo
         assert set(next(iter(recording.observations())).wrenches) == {"one", "two", "three"}
     kept = json.loads((tmp_path / "b.grasp.json").read_text(encoding="utf-8"))
     assert set(kept["closed"]) == set(again.hand.moving)
-    short = ("--motion", "grasp", "--grasp", "b.grasp.json", "-o", "c.mcap")
+    short = ("--motion", "grasp", "--grasp", "b.grasp.json", "--output", "c.mcap")
     assert called(monkeypatch, tmp_path, *arguments[:4], *short) == 0
     assert called(monkeypatch, tmp_path, "track", "b.mcap") == 0
     summary = json.loads((tmp_path / "b-track" / "summary.json").read_text(encoding="utf-8"))
@@ -234,10 +216,10 @@ def test_an_object_of_the_library_is_simulated_by_its_name(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("thing", ["can", "box"])
+@pytest.mark.parametrize(
+    ("name", "thing"), [("allegro", "can"), ("leap_xela", "box"), ("dg5f", "can"), ("allegro", "box")]
+)
 def test_a_real_hand_grasps_lifts_and_tilts_can_and_box(name, thing, monkeypatch):
-    monkeypatch.setattr(grasp_fit, "FIT", FIT)
     rig = real(name, monkeypatch)
     scenario = Scenario(object=thing, rig=rig, motion="weigh", rate=20)
     found = find_grasp(scenario)

@@ -13,8 +13,9 @@ from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
-from handsight.simulation.touch_search import PROBE, TABLE_PROBES, TOUCH_SEARCH, start_search
+from handsight.simulation.touch_search import TABLE_PROBES, start_search
 from simulation.simulated import NONE
+from testbed.refusals import refused
 
 
 def towards(probe, aside=0.0):
@@ -64,13 +65,11 @@ def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch)
     T = probe.T_world_object
     at_edge = (T[:3, :3] @ [-0.083, 0.15, 0.0] + T[:3, 3])[:2]
     assert probe.measure_table(at_edge)[0] < -0.01
-    monkeypatch.setattr("handsight.simulation.touch_search.PROBE", PROBE._replace(table_unevenness=0.005))
+    monkeypatch.setattr("handsight.simulation.touch_search.TABLE_UNEVENNESS", 0.005)
     height, R_world_table = probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES])
     assert height == pytest.approx(0.0, abs=1e-3)
     assert pytest.approx(np.eye(3), abs=5e-3) == R_world_table
-    with pytest.raises(
-        InvalidInput, match=r"^places: expected some over the table, touched nothing at any of 1$"
-    ):
+    with refused(InvalidInput, "places"):
         probe.measure_table([3.0, 3.0])
 
 
@@ -85,7 +84,7 @@ def test_the_tables_tilt_is_measured():
 
 def test_an_object_larger_than_the_searched_area_is_rejected():
     scenario = Scenario(object="can")
-    with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):
+    with refused(InvalidInput, "object"):
         start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
 
 
@@ -110,17 +109,15 @@ def test_a_can_found_gripped_and_weighed_is_at_its_estimated_pose():
     assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
 
 
-BLIND = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap", "--plot", "search.png")
+BLIND = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
 
 
 @pytest.mark.slow
 def test_a_blind_recording_tells_its_touches_and_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
     assert called(monkeypatch, tmp_path, *BLIND) == 0
     told = capsys.readouterr().err
-    assert "can: touch cannot tell its spin about its axis nor one end from the other" in told
     assert "touch 1: " in told
     assert "found by" in told
-    assert (tmp_path / "search.png").stat().st_size > 10_000
     assert called(monkeypatch, tmp_path, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
@@ -132,11 +129,9 @@ def test_a_blind_recording_tells_its_touches_and_is_tracked_without_a_camera(tmp
 def test_a_search_tells_what_is_open_where_its_touches_are_too_few(tmp_path, monkeypatch, capsys):
     assert called(monkeypatch, tmp_path, *BLIND, "--images") == 2
     assert "--images: expected none with --blind" in capsys.readouterr().err
-    monkeypatch.setattr(
-        "handsight.simulation.touch_search.TOUCH_SEARCH", TOUCH_SEARCH._replace(max_touches=0)
-    )
+    monkeypatch.setattr("handsight.simulation.touch_search.MAX_TOUCHES", 0)
     assert called(monkeypatch, tmp_path, *BLIND) == 1
-    message = "the object was not found by 0 touches: the position is open"
+    message = "the object was not found by 0 touches: "
     assert message in capsys.readouterr().err
 
 

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,9 +16,11 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario, rig_of, simulate
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.scene import PALM, tip_shape
-from handsight.simulation.taxels import COUNTS, PRODUCTS, RAW, ElasticSkin, Solid, TaxelSensors, surfaces
+from handsight.simulation.tables import tables
+from handsight.simulation.taxels import ElasticSkin, Solid, TaxelSensors, surfaces
 from handsight.simulation.world import World
 from simulation.simulated import only
+from testbed.refusals import refused
 
 KINDS = ("xela", "paxini", "inspire")
 seeds = st.integers(0, 2**32 - 1)
@@ -39,26 +40,18 @@ def sensors(kind, seed=0, **nuisances):
     return TaxelSensors(Scenario(object="box", seed=seed, sensors=kind, nuisances=only(**nuisances)))
 
 
-def pushes(sensor, name, rng, most=1.0):
-    """Random true forces (n, 3) into a surface's skin, in its link."""
-    surface = sensor.surfaces[name]
-    own = rng.normal(size=(len(surface.points), 3)) * [0.3, 0.3, 1]
-    own[:, 2] = -np.abs(own[:, 2])
-    return most * np.einsum("nik,nk->ni", surface.taxels["axes"], own)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_places_are_on_the_tip_a_pitch_from_each_other(kind):
     for name, surface in surfaces(kind, False).items():
-        finger, pads = name[:2], {pad.name: pad for pad in PRODUCTS[kind].pads}
+        finger, pads = name[:2], tables()["taxels"][kind]["pads"]
         semi_axes, center_z = tip_shape(finger)
         pad = pads[name[2:]]
         local = surface.points - [0, 0, 0.002 + center_z]
         np.testing.assert_allclose(((local / semi_axes) ** 2).sum(axis=1), 1, atol=1e-9)
         distance = np.linalg.norm(local[:, None] - local, axis=2) + np.diag(np.full(len(local), np.inf))
-        assert len(local) == pad.number
-        assert distance.min() >= 0.97 * pad.pitch
-        assert np.median(distance.min(axis=1)) < 1.1 * pad.pitch
+        assert len(local) == pad["number"]
+        assert distance.min() >= 0.97 * pad["pitch"]
+        assert np.median(distance.min(axis=1)) < 1.1 * pad["pitch"]
         outward = local / semi_axes**2
         assert ((outward * surface.normals).sum(axis=1) > 0.99 * np.linalg.norm(outward, axis=1)).all()
 
@@ -118,46 +111,6 @@ def test_each_tips_taxels_measure_the_simulators_contact(kind, grasped):
         assert np.linalg.norm(arm - arm @ contact.normal_palm * contact.normal_palm) < 1e-3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("dead", "share"), [(2, None), (0.2, 0.2), (0, None)])
-def test_a_dead_taxel_reads_the_same_whatever_presses(kind, dead, share):
-    rng, sensor = np.random.default_rng(0), sensors(kind, taxel_dead=dead, skin_offset=0.1, taxel_noise=0.05)
-    for name, surface in sensor.surfaces.items():
-        n = len(surface.points)
-        read = np.array([sensor.read(name, pushes(sensor, name, rng)).reshape(n, -1) for _ in range(5)])
-        still = (np.ptp(read, axis=0) == 0).all(axis=1)
-        assert still.sum() == (round(share * n) if share else dead)
-
-
-def test_crosstalk_spreads_and_preserves_the_sum():
-    rng = np.random.default_rng(2)
-    exact, leaking = (sensors("paxini", taxel_crosstalk=share) for share in (0.0, 0.05))
-    for name in ("ff", "th"):
-        n, near = len(exact.surfaces[name].points), exact.surfaces[name].taxels["near"]
-        for i in range(0, n, 9):  # the middle of the layout, and its edge
-            forces = np.zeros((n, 3))
-            forces[i] = pushes(exact, name, rng, 0.1)[i]
-            before, after = exact.read(name, forces), leaking.read(name, forces)
-            np.testing.assert_allclose(after.sum(axis=0), before.sum(axis=0), atol=1e-12)
-            beside = near[i][near[i] < n]
-            np.testing.assert_allclose(after[beside], np.tile(0.05 * before[i], (len(beside), 1)), atol=1e-15)
-            assert abs(after[i, 2]) < abs(before[i, 2])
-
-
-def test_hysteresis_reads_less_while_a_force_grows_and_more_while_it_falls():
-    sensor = sensors("xela", taxel_hysteresis=0.1)
-    forces = pushes(sensor, "th", np.random.default_rng(1), 0.5)
-    true = sensors("xela").read("th", forces)
-    read = {}
-    for step, k in enumerate((0.0, 0.5, 1.0, 1.2, 1.0, 0.5, 0.0)):
-        read[step] = sensor.read("th", k * forces)
-    np.testing.assert_allclose(read[2], 0.9 * true, atol=1e-12)
-    np.testing.assert_allclose(read[4], 1.08 * true, atol=1e-12)  # as before, it has not fallen far enough
-    np.testing.assert_allclose(read[5], 0.55 * true, atol=1e-12)
-    assert not read[0].any()
-    assert not read[6].any()
-
-
 def test_readings_are_those_of_the_seed():
     def readings(seed):
         scenario = Scenario(object="box", seed=seed, motion="grasp", rate=5.0, sensors="xela")
@@ -169,22 +122,14 @@ def test_readings_are_those_of_the_seed():
     assert any((one[name] != two[name]).any() for one, two in zip(first, other, strict=True) for name in one)
 
 
-def test_a_hand_of_taxels_has_no_wrenches_and_inspires_are_counts_at_their_own_rate(simulated):
+def test_a_hand_of_taxels_has_no_wrenches(simulated):
     samples = simulated(Scenario(object="box", motion="grasp", rate=100.0, sensors="inspire"))
-    skins = [sample.observation.skin for sample in samples]
     assert not any(sample.observation.wrenches for sample in samples)
-    assert sum(a is b or a["ff_pad"] is b["ff_pad"] for a, b in pairwise(skins)) == 95
-    for values in skins[-1].values():
-        assert (values == np.rint(values)).all()
-        assert (values >= 0).all()
-        assert (values <= COUNTS).all()
-    assert max(values.max() for values in skins[-1].values()) > 50
+    assert max(values.max() for values in samples[-1].observation.skin.values()) > 0.05
 
 
 def test_sensors_of_no_maker_are_refused_with_the_makers():
-    with pytest.raises(
-        InvalidInput, match="sensors: expected one of wrench, xela, paxini, inspire, got 'gel'"
-    ):
+    with refused(InvalidInput, "sensors"):
         Scenario(sensors="gel")
 
 
@@ -219,7 +164,7 @@ def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, re
     folder, _ = recorded(kind)
     assert called(monkeypatch, folder, "rig", "check", "can.rig.yaml", "can.mcap", columns=100) == 0
     assert "can.mcap has everything that this rig listens to." in capsys.readouterr().out
-    assert called(monkeypatch, folder, "track", "can.mcap", "-o", "out") == 0
+    assert called(monkeypatch, folder, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((folder / "out" / "summary.json").read_text())
     assert not summary["refused"]
     assert summary["poses"] == summary["observations"] == 191
@@ -230,7 +175,7 @@ def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, re
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_drivers_messages_are_read_as_they_were_measured(kind, recorded):
+def test_recorded_taxels_are_read_as_they_were_measured(kind, recorded):
     folder, simulated = recorded(kind)
     scenario = Scenario(object="can", motion="grasp", seed=1, sensors=kind, skin=True)
     samples = {round(100 * sample.observation.stamp): sample.observation for sample in simulated}
@@ -244,11 +189,3 @@ def test_a_drivers_messages_are_read_as_they_were_measured(kind, recorded):
                 expected = samples[k].skin[name]
                 np.testing.assert_allclose(values.reshape(expected.shape), expected, atol=1e-6)
     assert not recording.lacks()
-    if kind == "xela":
-        fields = {name: f"sensors[sensor_pos={i}].taxels" for i, name in enumerate(rig.skin, start=1)}
-        counted = replace(rig, topics=replace(rig.topics, skin_fields=fields))
-        with open_recording(folder / "can.mcap", counted) as recording:
-            (*_, last) = recording.observations()
-        for name, values in last.skin.items():
-            newtons = (values - RAW[0]) / RAW[1]
-            np.testing.assert_allclose(newtons.ravel(), samples[190].skin[name].ravel(), atol=6e-4)

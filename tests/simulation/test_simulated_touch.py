@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from handsight.contact import compensate
-from handsight.simulation import Nuisances, Scenario, rig_of
+from handsight.simulation import Scenario, rig_of
 from simulation.simulated import NONE, location_errors, only, samples, sensed
 
 SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
@@ -104,27 +103,3 @@ def test_joints_are_exact_without_nuisances_and_off_by_a_constant_and_noise_with
     names = list(clean[0].observation.joint_positions)
     assert len(names) == 24
     assert set(names) == set(rig_of(Scenario()).hand.joint_names)
-
-
-def test_a_setting_changes_its_own_error_and_no_other():
-    usual = samples(nuisances=Nuisances())
-    blind = samples(nuisances=Nuisances(joint_offset=0, joint_noise=0, force_noise=0, torque_noise=0))
-    for a, b in zip(usual, blind, strict=True):
-        np.testing.assert_array_equal(
-            a.observation.vision.T_frame_object, b.observation.vision.T_frame_object
-        )
-        np.testing.assert_array_equal(a.T_palm_object, b.T_palm_object)
-    quiet = samples(nuisances=Nuisances(camera_position=0, vision_position=0, vision_delay=0))
-    for a, b in zip(usual, quiet, strict=True):
-        assert a.observation.joint_positions == b.observation.joint_positions
-        np.testing.assert_array_equal(a.observation.wrenches["th"], b.observation.wrenches["th"])
-
-
-def test_compensation_with_the_other_reading_is_far_off():
-    rig, sample = rig_of(Scenario()), samples("can")[-1]
-    calibration = rig.fingers["th"].calibration
-    assert calibration.reading == "on_tip"
-    raw = sample.observation.wrenches["th"]
-    force, _ = compensate(raw[:3], raw[3:], np.zeros(3), calibration)
-    # The thumb is pushed away from the fingers: towards the palm's side, not out of it.
-    assert np.linalg.norm(force) == pytest.approx(sample.forces_object["th"], rel=0.02)

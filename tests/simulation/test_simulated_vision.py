@@ -8,13 +8,14 @@ from handsight.simulation import (
     Scenario,
     camera_facing,
     model_of,
-    render,
     rig_of,
     simulate,
     true_camera,
 )
 from handsight.simulation.camera import TARGET, calibration_error
 from simulation.simulated import NONE, only, samples
+from testbed.pictures import render
+from testbed.refusals import refused
 
 
 def vision_world(sample):
@@ -57,12 +58,6 @@ def test_white_noise_of_vision_has_the_stated_sigma():
     np.testing.assert_allclose(wrong[:, 3:].std(axis=0), 0.05, rtol=0.2)
 
 
-def test_a_late_pose_is_that_of_a_moment_ago():
-    run = samples("can", 0, "manipulate", 10.0, only(vision_delay=0.3))
-    for now, then in zip(run[3:], run, strict=False):
-        np.testing.assert_allclose(vision_world(now), then.T_world_object, atol=1e-12)
-
-
 def test_poses_come_ten_times_a_second_and_images_thirty_times():
     run = list(simulate(Scenario(rate=50.0, nuisances=NONE)))
     seen = [s.observation.stamp for s in run if s.observation.vision is not None]
@@ -96,33 +91,14 @@ def test_depth_images_show_the_object_where_it_is():
     assert np.mean(greener[:, 1] > greener[:, 0]) > 0.8
 
 
-def test_a_picture_shows_the_object_and_a_second_one_at_the_given_pose():
-    scenario, sample = Scenario(nuisances=NONE), samples()[-1]
-    view = camera_facing([-0.3, 0.4, 0.3], [0, 0, 0.06])
-    plain = render(scenario, sample, T_world_camera=view).astype(int)
-    assert plain.shape == (480, 640, 3)
-    red = (plain[..., 0] > 2 * plain[..., 1]) & (plain[..., 0] > 60)
-    bare = render(scenario, sample, show_object=False, T_world_camera=view).astype(int)
-    assert red.sum() > 3000
-    assert ((bare[..., 0] > 2 * bare[..., 1]) & (bare[..., 0] > 60)).sum() < 0.02 * red.sum()
-    ghost = se3.moved(sample.T_palm_object, np.array([0.1, 0, 0, 0, 0, 0]))
-    both = render(scenario, sample, ghost=ghost, color=(0.1, 0.1, 0.9, 1.0), T_world_camera=view).astype(int)
-    blue = both[..., 2] > both[..., 0] + 40
-    assert blue.sum() > 3000
-    # The palm's x is up: the second one is higher in the picture.
-    assert np.nonzero(blue)[0].mean() < np.nonzero(red)[0].mean() - 50
-
-
 def test_what_cannot_be_drawn_is_an_error(monkeypatch):
     sample = samples()[-1]
-    with pytest.raises(InvalidInput, match=r"^at - eye: expected a direction, got a zero vector"):
+    with refused(InvalidInput, "at - eye"):
         camera_facing([0, 0, 1], [0, 0, 1])
     short = type(sample)(
         **{f: getattr(sample, f) for f in sample.__slots__ if f != "configuration"}, configuration=np.zeros(3)
     )
-    with pytest.raises(
-        InvalidInput, match=r"^sample: expected one of the scenario's \(can\), got another scene's"
-    ):
+    with refused(InvalidInput, "sample"):
         render(Scenario(), short)
 
     def absent(name):
@@ -130,10 +106,8 @@ def test_what_cannot_be_drawn_is_an_error(monkeypatch):
 
     monkeypatch.setattr("handsight.simulation.camera.import_module", absent)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(
-        MissingExtra, match=r"expected EGL or OSMesa .* got egl: no library for mujoco.egl; osmesa: no"
-    ):
+    with pytest.raises(MissingExtra):
         render(Scenario(), sample)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    with pytest.raises(MissingExtra, match=r"got osmesa: no library for mujoco.osmesa$"):
+    with pytest.raises(MissingExtra):
         next(simulate(Scenario(images=True)))

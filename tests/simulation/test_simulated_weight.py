@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.motion import WEIGH_LEGS, palm_poses
+from handsight.simulation.motion import LEGS, palm_poses
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import tip_biases
 from handsight.simulation.world import Payload
@@ -42,8 +42,8 @@ def test_unsensed_forces_are_off_by_default_and_change_no_other_draws():
 
 
 def test_a_weighing_has_five_orientations_20_degrees_apart():
-    ends = np.cumsum(WEIGH_LEGS[:, 0])
-    Ts = palm_poses(WEIGH_LEGS, ends - 0.3, np.eye(4), np.array([0.0, 0.0, 0.07]))
+    ends = np.cumsum(LEGS["weigh"][:, 0])
+    Ts = palm_poses(LEGS["weigh"], ends - 0.3, np.eye(4), np.array([0.0, 0.0, 0.07]))
     down = -Ts[[2, 4, 6, 8, 10], 2, :3]
     angles = np.rad2deg(np.arccos(np.clip(down @ down.T, -1, 1)))
     np.testing.assert_allclose(angles[0, 1:], 20, atol=1e-6)

@@ -1,11 +1,9 @@
 """The room that experiments and benchmarks share, and who may import whom among them."""
 
 import ast
-import csv
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cli.commands import called
@@ -54,40 +52,6 @@ def test_wrong_arguments_of_an_experiment_are_rejected_in_a_sentence(arguments, 
     with pytest.raises(SystemExit):
         report.parsed(parser, trials=100, quick_trials=6)
     assert capsys.readouterr().err.splitlines()[-1].endswith(f"error: {message}")
-
-
-def test_a_mean_has_its_standard_error_and_numbers_that_do_not_decide_say_so():
-    values = np.random.default_rng(0).normal(2.0, 1.0, 400)
-    mean, error = report.summary(values)
-    assert (mean, error) == pytest.approx((values.mean(), values.std(ddof=1) / 20))
-    assert report.plus_minus([1.0, 1.2, 1.4]) == "1.20±0.12"
-    assert report.plus_minus([0.0011, 0.0013]) == "1e-03±1e-04"
-    assert (report.positive(values), report.positive(-values), report.positive([-1.0, 1.1])) == (
-        True,
-        False,
-        None,
-    )
-    assert (report.all_of([True, None]), report.all_of([None, False]), report.all_of([True])) == (
-        None,
-        False,
-        True,
-    )
-
-
-def test_rows_are_grouped_in_order_of_appearance_and_written_with_one_header(tmp_path, capsys):
-    rows = [{"kind": kind, "mm": mm} for kind, mm in (("b", 1.0), ("a", 5.0), ("b", 3.0), ("a", 7.0))]
-    found = report.grouped(rows, ["kind"], ["mm"])
-    assert [(row["kind"], row["mm_mean"], row["mm_median"], row["trials"]) for row in found] == [
-        ("b", 2.0, 2.0, 2),
-        ("a", 6.0, 6.0, 2),
-    ]
-    np.testing.assert_array_equal(report.values(rows, "mm", kind="a"), [5.0, 7.0])
-    path = tmp_path / "rows.csv"
-    report.write_csv(path, [*rows, {"kind": "c", "deg": 1 / 3}])
-    assert capsys.readouterr().out == f"wrote {path}\n"
-    with path.open(newline="", encoding="utf-8") as file:
-        written = list(csv.DictReader(file))
-    assert written[-1] == {"kind": "c", "mm": "", "deg": "0.333333"}
 
 
 def test_a_recording_is_the_one_that_the_command_writes(tmp_path, monkeypatch):

@@ -10,17 +10,18 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from cli.tracks import recorded
-from hand_scenes import CAMERA, hand_scene
 from handsight import se3
 from handsight.observation import Observation
 from handsight.rig import MountedCamera
 from handsight.rig.save import write as write_rig
+from testbed.sight_scenes import WIDE, hand_scene
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, rig_of
-from handsight.tracking import HAND_VIEWS, HandViews
+from handsight.tracking import HandViews
+from handsight.tracking.camera_calibration import MIN_VIEWS, VIEW_PERIOD
 
 TRUE = se3.compose(se3.rotation_exp(np.array([0.3, 1.2, -0.4])), np.array([0.4, -0.3, 0.5]))
 OFF = se3.compose(se3.rotation_exp(np.deg2rad([2.0, -3.0, 1.5])), np.array([0.02, -0.015, 0.03]))
@@ -33,16 +34,14 @@ def pictures(rig, count, T_world_camera=TRUE):
     for k in range(count):
         scene = hand_scene(rig.hand, shapes, np.random.default_rng(k), sigma_joint=0.0)
         T = T_world_camera @ scene.T_camera_palm
-        yield Observation(
-            k * HAND_VIEWS.period, joint_positions=scene.joints, T_world_palm=T, depth=scene.depth
-        )
+        yield Observation(k * VIEW_PERIOD, joint_positions=scene.joints, T_world_palm=T, depth=scene.depth)
 
 
 def rig_with(T_world_camera, **changes):
     camera = MountedCamera(
         T_mount_camera=T_world_camera,
-        intrinsics=CAMERA.matrix,
-        size=CAMERA.size,
+        intrinsics=WIDE.matrix,
+        size=WIDE.size,
         sigma_position_constant=0.03,
         sigma_rotation_constant=np.deg2rad(3),
     )
@@ -58,7 +57,7 @@ def test_the_calibrated_camera_is_where_images_of_the_hand_were_taken():
     passed = list(views.watched(pictures(rig, 7)))
     assert len(passed) == views.images == 7
     found = views.calibration()
-    assert found.views >= HAND_VIEWS.min_views
+    assert found.views >= MIN_VIEWS
     E = found.T_mount_camera @ se3.inverse(TRUE)
     assert np.linalg.norm(se3.apply(E, found.pivot[None])[0] - found.pivot) < 0.003
     assert np.linalg.norm(se3.rotation_log(E[:3, :3])) < np.deg2rad(1)
@@ -73,11 +72,11 @@ def test_the_calibrated_camera_is_where_images_of_the_hand_were_taken():
 def test_the_command_calibrates_a_camera_by_a_recordings_images(tmp_path, monkeypatch, capsys):
     rig = rig_with(OFF @ TRUE)
     write_rig(rig, tmp_path / "rig.yaml")
-    recorded(tmp_path / "hand.mcap", pictures(rig, HAND_VIEWS.min_views), rig)
+    recorded(tmp_path / "hand.mcap", pictures(rig, MIN_VIEWS), rig)
     command = "calibrate", "camera", "hand.mcap", "--rig", "rig.yaml", "--object", "can"
     assert called(monkeypatch, tmp_path, *command) == 0
     out = capsys.readouterr().out
-    assert f"# from the hand seen in {HAND_VIEWS.min_views} of {HAND_VIEWS.min_views} pictures" in out
+    assert f"# from the hand seen in {MIN_VIEWS} of {MIN_VIEWS} pictures" in out
     assert "touch says" not in out
     place = np.array(re.search(r"position: \[([^]]+)\]", out)[1].split(","), dtype=float)
     # The hand is up to 1.1 m off, and the turn known to some tenths of a degree.

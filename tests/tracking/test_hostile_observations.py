@@ -10,9 +10,9 @@ import handsight as hs
 from handsight import checks, se3
 from handsight.errors import InvalidInput
 from handsight.observation import PoseMeasurement
-from tests.corpus.observations import BOX, gripper, observed
+from tracking.gripper import BOX, gripper, observed
 
-UPDATES = 10_000
+UPDATES = 1_500
 NAN, ROTATED = np.full((4, 4), np.nan), se3.compose(se3.rotation_exp(np.array([0.3, 0.2, 1.0])), np.zeros(3))
 BAD = [
     *({"T_world_palm": T} for T in (NAN, 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.eye(3), "palm", 1e200 * ROTATED)),
@@ -32,7 +32,7 @@ class Life:
         self.rng, self.tracker = random.Random(seed), hs.Tracker(gripper(), BOX)
         self.stamp, self.touching = 0.0, False
         self.taken = self.measured_at = self.touched_at = -np.inf
-        self.late = self.undone = self.refused = self.left_out = 0
+        self.late = self.refused = self.left_out = 0
         self.poses, self.covariances = [], []
         """That were answered."""
 
@@ -81,6 +81,17 @@ class Life:
         assert self.tracker.update(self.good(stamp)) is before
         self.late, self.left_out = self.late + 1, self.left_out + 1
 
+    def hold(self, stamp):
+        """One whose stamp jumped, and is used with the next one."""
+        given = self.good(stamp)
+        before = self.tracker.stamp
+        self.tracker.update(given)
+        assert self.tracker.stamp == before
+        if given.joint_positions is not None and given.wrenches["left"][2] < -0.1:
+            self.measured_at = self.touched_at = stamp
+        elif given.vision is not None:
+            self.measured_at = stamp
+
     def refuse(self):
         """One that is wrong in itself."""
         before = self.tracker.estimate
@@ -108,25 +119,23 @@ class Life:
         rng, kind, step = self.rng, self.rng.random(), 0.01
         self.stamp = (self.taken if np.isfinite(self.taken) else 0.0) + step
         if kind < 0.02:  # one far ahead
-            before = self.measured_at, self.touched_at
-            self.take(self.stamp + 10 ** rng.uniform(0.5, 9))
-            self.undone, (self.measured_at, self.touched_at) = self.undone + 1, before
+            self.leave(self.stamp + 10 ** rng.uniform(0.5, 9))
             self.take(self.stamp)
         elif kind < 0.022:  # the sensors pause
             self.stamp += 10 ** rng.uniform(0.5, 4)
-            self.take(self.stamp)
-            self.take(self.stamp + step)
+            self.hold(self.stamp)
             self.stamp += step
+            self.take(self.stamp)
         elif kind < 0.03:  # one far back
             self.leave(self.stamp - 10 ** rng.uniform(0.1, 9))
             self.take(self.stamp)
         elif kind < 0.032:  # the clock is set back
             self.stamp -= 10 ** rng.uniform(0.5, 5)
-            self.leave(self.stamp)
             self.measured_at = self.touched_at = -np.inf
-            self.take(self.stamp + step)
-            assert "the clock went back by" in self.tracker.reason
+            self.hold(self.stamp)
             self.stamp += step
+            self.take(self.stamp)
+            assert "the clock went back by" in self.tracker.reason
         elif kind < 0.05:  # out of order
             self.leave(self.stamp - step - rng.uniform(1e-6, 0.9))
             self.take(self.stamp)
@@ -155,7 +164,7 @@ class Life:
             if estimate.covariance is not None:
                 self.covariances.append(estimate.covariance)
         assert (tracker.reason == "") == (tracker.state == "tracking")
-        assert (tracker.late, tracker.undone, tracker.refused) == (self.late, self.undone, self.refused)
+        assert (tracker.late, tracker.refused) == (self.late, self.refused)
         assert tracker.stamp == self.taken
         if self.left_out >= 100:
             assert (tracker.state, "in a row" in tracker.reason) == ("lost", True)
@@ -173,7 +182,7 @@ def test_a_tracker_stays_right_through_many_updates_with_invalid_ones_among_them
     while updates < UPDATES:
         updates += life.live()
         life.check()
-    assert min(life.late, life.undone) > UPDATES / 100
+    assert life.late > UPDATES / 50
     assert life.refused > UPDATES / 10
     assert life.tracker.corrections > UPDATES / 1000
     Ts, covariances = np.array(life.poses), np.array(life.covariances)

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 
 import handsight as hs
-import scenes
 from handsight import se3
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.correction.solve import information_by_contact
 from handsight.errors import InvalidInput
 from handsight.tracking import FingertipSensors, JointOffsets, Tracker
 from handsight.tracking.joint_offsets import CREEP
 from oracles import correction as oracle
+from testbed import scenes
+from testbed.refusals import refused
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIGMA, READING = np.deg2rad(1.0), np.deg2rad(0.1)
@@ -27,7 +27,8 @@ VISION = np.array([0.02] * 3 + [0.2] * 3)
 
 def no_knowledge(joints, sigma=SIGMA):
     names = tuple(f"joint {i}" for i in range(joints))
-    return JointOffsets(names, np.zeros(joints), sigma**2 * np.eye(joints), sigma, READING)
+    prior = sigma**2 * np.eye(joints)
+    return JointOffsets(names, np.zeros(joints), prior, prior, (READING**2 + 1e-18) * np.eye(joints))
 
 
 def grip(rng, known, read_too_much, name="can"):
@@ -48,28 +49,6 @@ def grip(rng, known, read_too_much, name="can"):
     contacts = hs.Contacts(points, normals + wrong[:, 3:], covariance=covariance)
     T_seen = se3.moved(scene.T_palm_object, VISION * rng.normal(size=6))
     return model, scene.T_palm_object, contacts, by_error, hs.PosePrior(T_seen, np.diag(VISION**2))
-
-
-@given(SEEDS, st.sampled_from(sorted(MODELS)))
-def test_a_surfaces_information_on_contacts_is_that_of_their_residuals_derivative(seed, name):
-    rng = np.random.default_rng(seed)
-    model, T, contacts, *_ = grip(rng, no_knowledge(4), np.zeros(4), name)
-    T = se3.moved(T, np.array([0.001, 0, 0, 0, 0.01, 0]))
-    information, gradient = information_by_contact(model, contacts, T)
-    problem = Problem(model, contacts, None, NO_OUTSIDE)
-    S = oracle.covariance(problem, T)
-    for i in range(len(contacts)):
-        root = np.linalg.inv(np.linalg.cholesky(S[i]))
-
-        def residuals(change, i=i, root=root):
-            point, normal = contacts.points_palm[i] + change[:3], contacts.normals_palm[i] + change[3:]
-            distance, _, facing, _ = oracle.surface(problem, point[None], T)
-            return root @ np.r_[distance, facing[0] - normal]
-
-        J = approx_fprime(np.zeros(6), residuals, 1e-8)
-        scale = np.abs(J).max()
-        np.testing.assert_allclose(information[i], J.T @ J, atol=1e-4 * scale**2)
-        np.testing.assert_allclose(gradient[i], J.T @ residuals(np.zeros(6)), atol=1e-4 * scale**2)
 
 
 @settings(max_examples=20)
@@ -180,9 +159,7 @@ def test_a_tracker_learns_offsets_from_its_grip_and_the_next_tracker_starts_with
 
 
 def test_offsets_of_another_hand_are_refused(can):
-    with pytest.raises(
-        InvalidInput, match="joint_offsets: expected those of this hand's joints, got those of joint 0"
-    ):
+    with refused(InvalidInput, "joint_offsets"):
         Tracker(can.rig, MODELS["can"], joint_offsets=no_knowledge(2))
-    with pytest.raises(InvalidInput, match="joint_offsets: expected a JointOffsets or None, got float"):
+    with refused(InvalidInput, "joint_offsets"):
         Tracker(can.rig, MODELS["can"], joint_offsets=0.5)

@@ -5,14 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import chdtri, fdtr, fdtri
 
 import handsight as hs
 from handsight import se3
 from handsight.correction import Conflict, PoseEstimate, PosePrior
-from handsight.simulation import Scenario, rig_of
 from handsight.tracking import Tracker
-from handsight.tracking.misfit import COVERAGE, MISFIT, TOUCH, Innovations, Misfit, chi2_probability
+from handsight.tracking.misfit import NOISE_FREEDOM, TOUCH, WINDOW, Innovations, Misfit
 
 
 def test_a_step_of_many_sigma_is_named_inflates_and_fades():
@@ -27,7 +25,7 @@ def test_a_step_of_many_sigma_is_named_inflates_and_fades():
     assert (
         6 < step @ np.linalg.solve(covariance, step) < 22.5
     )  # 99.9 % of six numbers: the old answer is possible
-    later = watched.moved(10 * MISFIT.window, model, new, new, np.zeros(6))
+    later = watched.moved(10 * WINDOW, model, new, new, np.zeros(6))
     assert later.worst is None
     assert later.inflated(new) is new
 
@@ -36,7 +34,7 @@ def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
     finger = Misfit("ff", expected=3)
     states = []
     for _ in range(50):
-        finger = finger.after(1 - np.exp(-0.02 / MISFIT.window), 100.0, 3, 1.0)
+        finger = finger.after(1 - np.exp(-0.02 / WINDOW), 100.0, 3, 1.0)
         states.append(bool(finger.contradicts))
     assert states[0] is False
     assert states[-1] is True
@@ -83,7 +81,7 @@ def test_the_region_holds_where_the_declared_sigma_of_touch_is_an_estimate_of_fo
     np.testing.assert_allclose(covered.covariance @ covered.information, np.eye(6), atol=1e-6)
     assert covered.covariance[5, 5] == pytest.approx(1e-4)
     assert 1e-6 * 0.98 < covered.covariance[1, 1] < 1e-6
-    true_sigma = np.sqrt(MISFIT.noise_freedom / rng.chisquare(MISFIT.noise_freedom, 4000))
+    true_sigma = np.sqrt(NOISE_FREEDOM / rng.chisquare(NOISE_FREEDOM, 4000))
     noise = rng.normal(size=(4000, 6)) * np.sqrt(np.diag(estimate.covariance))
     noise[:, [0, 2, 3, 4]] *= true_sigma[:, None]
     squares = np.einsum("ni,ij,nj->n", noise, covered.information, noise)
@@ -94,14 +92,6 @@ def test_the_region_holds_where_the_declared_sigma_of_touch_is_an_estimate_of_fo
     spin = np.diag([1.0, 1, 1, 1, 1, 0]) @ information
     free = estimate.with_gaussian(np.eye(4), None, spin)
     assert not watched.covered(model, free, prior).information[5].any()
-
-
-def test_the_closed_forms_of_the_f_distribution_agree_with_scipy():
-    for n in (1, 2, 3, 6):
-        for chi2 in (0.1, 3.0, 40.0, 1e4):
-            expected = fdtr(n, MISFIT.noise_freedom, chi2 / n)
-            assert chi2_probability(chi2, n) == pytest.approx(expected, abs=1e-12)
-    assert pytest.approx(6 * fdtri(6, MISFIT.noise_freedom, 0.95) / chdtri(6, 0.05)) == COVERAGE
 
 
 @pytest.mark.parametrize("radius", [0.026, 0.040])
@@ -117,21 +107,13 @@ def test_the_right_model_is_tracked(can):
     tracker = Tracker(can.rig, can.model)
     for seen in can.observations:
         tracker.update(seen)
-    assert tracker.state == "tracking", tracker.misfits
+    assert tracker.state == "tracking", tracker.reason
 
 
-def test_another_object_is_named_and_an_alternative_that_explains_the_touch_better(can):
-    box, thin = hs.ObjectModel.box([0.06, 0.09, 0.14]), hs.ObjectModel.cylinder(0.02, 0.1)
-    tracker = Tracker(can.rig, box, alternatives=[thin, box, can.model])
+def test_another_object_is_suspected(can):
+    tracker = Tracker(can.rig, hs.ObjectModel.box([0.06, 0.09, 0.14]))
     reasons = []
     for seen in can.observations:
         tracker.update(seen)
         reasons.append(tracker.reason)
     assert any("another object" in reason for reason in reasons)
-    assert f"another object, {can.model.name}, explains the touch better" in reasons[-1]
-
-
-def test_alternatives_are_models():
-    box, ball = hs.ObjectModel.box([0.06, 0.09, 0.14]), hs.ObjectModel.sphere(0.04)
-    with pytest.raises(hs.InvalidInput, match=r"alternatives\[1\]: expected an ObjectModel, got str"):
-        Tracker(rig_of(Scenario()), box, alternatives=[ball, "can"])

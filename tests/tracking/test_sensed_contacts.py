@@ -9,6 +9,7 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement
 from handsight.tracking import FingertipSensors, Tracker
+from testbed.refusals import refused
 
 
 def frames(rig, observation, finger):
@@ -95,39 +96,34 @@ def test_a_tracker_follows_contacts_as_it_follows_wrenches(can):
 
 
 @pytest.mark.parametrize(
-    ("contacts", "message"),
+    ("contacts", "field"),
     [
-        ({"ff": "touching"}, r"observation.contacts\['ff'\]: expected a ContactMeasurement or None, got str"),
-        ([], "observation.contacts: expected a mapping from finger to contact"),
+        ({"ff": "touching"}, "observation.contacts['ff']"),
+        ([1], "observation.contacts"),
     ],
 )
-def test_a_value_that_is_not_a_contact_is_refused(can, contacts, message):
-    sensors, last = FingertipSensors(can.rig), can.held[-1]
-    if contacts == []:
-        contacts = [1]
-    with pytest.raises(InvalidInput, match=message):
-        sensors.contacts(replace(last, contacts=contacts))
+def test_a_value_that_is_not_a_contact_is_refused(can, contacts, field):
+    with refused(InvalidInput, field):
+        Tracker(can.rig, can.model).update(replace(can.held[-1], contacts=contacts))
 
 
 def test_an_unknown_frame_is_refused_with_the_list_of_known_ones(can):
     last = can.held[-1]
     contact = ContactMeasurement(np.zeros(3), np.array([0.0, 0, 1]), "moon")
-    with pytest.raises(
-        InvalidInput, match=r"contacts\['ff'\].frame: expected one of tip, palm, .*got 'moon'"
-    ):
+    with refused(InvalidInput, "observation.contacts['ff'].frame"):
         FingertipSensors(can.rig).contacts(replace(last, contacts={"ff": contact}))
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("said", "field"),
     [
-        ({"point": [0, 0, np.nan]}, "contact.point: expected 3 finite numbers"),
-        ({"normal": np.zeros(3)}, "contact.normal: expected a direction, got a zero vector"),
-        ({"frame": ""}, "contact.frame: expected tip, palm or the name of a body, got ''"),
-        ({"force": np.inf}, "contact.force: expected a finite number"),
-        ({"covariance": -np.eye(6)}, "contact.covariance: expected a positive semidefinite"),
+        ({"point": [0, 0, np.nan]}, "contact.point"),
+        ({"normal": np.zeros(3)}, "contact.normal"),
+        ({"frame": ""}, "contact.frame"),
+        ({"force": np.inf}, "contact.force"),
+        ({"covariance": -np.eye(6)}, "contact.covariance"),
     ],
 )
-def test_an_invalid_field_of_a_contact_is_named(said, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_an_invalid_field_of_a_contact_is_named(said, field):
+    with refused(InvalidInput, field):
         ContactMeasurement(**({"point": np.zeros(3), "normal": np.array([0.0, 0, 1])} | said))

@@ -1,7 +1,6 @@
 """While the object slips, the pose is uncertain along the slip, and the tracker reports it and corrects."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +11,8 @@ from handsight import se3
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
 from handsight.forces.friction import Friction
-from handsight.gaussian_pose import GaussianPose
 from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker, TrackerSettings
-from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
-from handsight.tracking.smoother import STILL
+from handsight.tracking.slip_update import LATERAL_SHARE, ONSET_DELAY, SIGMA_SPEED, SlipUpdate
 
 FINGERS = ("ff", "mf", "th")
 FRICTION, PERIOD = 0.7, 0.004
@@ -62,23 +59,11 @@ def test_the_sigma_along_a_slip_grows_with_its_time_whatever_the_rate(period):
     part = slipping()
     run(part, smoother(), 0.1, 0.3, 0.0, period)
     state = run(part, smoother(), 0.3, 1.0, 0.1, period)
-    since = part.detector.stamp - part.now.began + SLIP_UPDATE.onset_delay
+    since = part.detector.stamp - part.now.began + ONSET_DELAY
     found = spread(state)
-    assert np.sqrt(found[0, 0]) == pytest.approx(
-        np.hypot(1, SLIP_UPDATE.lateral_share) * SLIP_UPDATE.sigma_speed * since, rel=1e-6
-    )
-    assert np.sqrt(found[1, 1]) == pytest.approx(
-        SLIP_UPDATE.lateral_share * SLIP_UPDATE.sigma_speed * since, rel=0.01
-    )
+    assert np.sqrt(found[0, 0]) == pytest.approx(np.hypot(1, LATERAL_SHARE) * SIGMA_SPEED * since, rel=1e-6)
+    assert np.sqrt(found[1, 1]) == pytest.approx(LATERAL_SHARE * SIGMA_SPEED * since, rel=0.01)
     assert np.abs(found[3:, 3:] - np.diag(np.diagonal(found)[3:])).max() < 1e-9
-
-
-def test_the_sigma_along_a_slip_stops_growing_at_the_longest_slip_in_a_hand():
-    part = slipping()
-    state = run(part, smoother(), 5.0, 1.0, 0.0)
-    assert np.sqrt(spread(state)[0, 0]) == pytest.approx(
-        np.hypot(1, SLIP_UPDATE.lateral_share) * SLIP_UPDATE.max_travel, rel=1e-6
-    )
 
 
 def test_each_slip_counts_anew_and_adds_to_those_before():
@@ -113,34 +98,6 @@ def test_a_reading_without_contacts_is_no_slip():
     assert not part.now.slipping
 
 
-def pushed(speed, sigma, mu=0.4, seconds=1.5):
-    """Returns the friction that is learnt from one finger that pushes straight, synthetic: its load is on the limit
-    all the time, and vision sees the object pass by."""
-    part, rng = SlipUpdate(some_rig()), np.random.default_rng(0)
-    contact = Contacts(np.array([[0.02, 0, 0]]), np.array([[0.0, 0, 1]]))
-    covariance = np.diag([sigma**2] * 3 + [(sigma / 0.1) ** 2] * 3)
-    camera = SimpleNamespace(drift=np.array([sigma**2, (sigma / 0.1) ** 2, 5.0]))
-    vision = SimpleNamespace(last=None, rejected_in_a_row=0, camera=camera)
-    for k in range(round(250 * seconds)):
-        if k % 8 == 0:
-            place = se3.compose(np.eye(3), np.array([speed * k / 250, 0, 0]) + sigma * rng.normal(size=3))
-            vision.last = GaussianPose(place, covariance), np.eye(4), STILL
-        loads = load(mu, 2.0 + np.sin(k / 20))[None]
-        part.update(0.004 * (k + 1), FingertipContacts(("ff",), contact, {}, loads=loads), smoother(), vision)
-    return part.now
-
-
-def test_friction_is_learnt_from_a_straight_push_that_vision_sees():
-    said = pushed(0.02, 2e-4)
-    assert said.friction == pytest.approx(0.4, rel=0.02)
-    assert said.slipping
-
-
-def test_an_object_that_stays_at_the_finger_shows_no_friction_whatever_visions_noise():
-    assert pushed(0.0, 2e-4).friction is None
-    assert pushed(0.0, 5e-3).friction is None
-
-
 def test_a_tracker_takes_declared_friction_from_its_argument_the_object_and_the_rig(box):
     assert (
         Tracker(box.rig, box.model, friction=(0.4, 0.02)).track_state.slip.detector.friction.coefficient
@@ -154,7 +111,7 @@ def test_a_tracker_takes_declared_friction_from_its_argument_the_object_and_the_
     both = Tracker(replace(box.rig, fingers=fingers), model).track_state.slip.detector.friction
     assert 0.58 < both.coefficient < 0.6
     for wrong in (0.4, (0.4,), (0.0, 0.1), (0.4, -1.0), (np.nan, 0.1)):
-        with pytest.raises(InvalidInput, match="friction"):
+        with pytest.raises(InvalidInput):
             Tracker(box.rig, box.model, friction=wrong)
 
 
@@ -210,11 +167,11 @@ def test_a_slip_ends_the_memory_of_fingers_that_have_let_go(box, held):
     assert finger not in held.track_state.memory.last
 
 
-def test_undoing_a_jump_of_the_clock_undoes_the_slip(box, held):
+def test_an_observation_far_ahead_changes_no_slip(box, held):
     seen = slippery(held, box.held[-1], 2, 50.0) and box.held[-1]
     now, stamp = held.slip, held.stamp
     held.update(replace(seen, stamp=stamp + 50.0, vision=None))
     held.update(replace(seen, stamp=stamp + 0.01, vision=None))
-    assert held.undone == 1
+    assert held.late == 1
     assert held.track_state.slip.detector.stamp == held.stamp == stamp + 0.01
     assert held.slip.friction == now.friction

@@ -9,15 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handsight import se3
-from handsight._kernels.posterior.propagation import inflate
 from handsight.gaussian_pose import GaussianPose
-from handsight.tracking.smoother import (
-    MOST_MEASUREMENTS,
-    Motion,
-    PoseAndBias,
-    PoseBiasSmoother,
-    nearest_semidefinite,
-)
+from handsight.tracking.smoother import Motion, PoseAndBias, PoseBiasSmoother
 from oracles import pose_bias as oracle
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -36,27 +29,6 @@ def some_state(rng):
 
 def state_of(T_palm_object, covariance, bias=NO_BIAS):
     return PoseAndBias(np.stack([T_palm_object, se3.moved(np.eye(4), bias)]), covariance)
-
-
-@given(SEEDS)
-def test_a_step_leads_from_one_state_to_another_and_back(seed):
-    rng = np.random.default_rng(seed)
-    state, step = some_state(rng), rng.normal(scale=0.3, size=19)
-    moved = state.moved(step)
-    back = np.concatenate([se3.difference(moved.Ts, state.Ts).ravel(), moved.rest - state.rest])
-    np.testing.assert_allclose(back, step, atol=1e-9)
-
-
-@given(SEEDS)
-def test_contacts_inform_the_bias_as_a_measurement_of_the_pose_would(seed):
-    rng = np.random.default_rng(seed)
-    state = some_state(rng)
-    R = np.diag(rng.uniform(1e-4, 1e-3, 6))
-    expected = state.updated(np.eye(6, 12), rng.normal(scale=1e-3, size=6), R)
-    information = np.linalg.inv(state.covariance[:6, :6]) + np.linalg.inv(R)
-    given_pose = state.given_pose(expected.T_palm_object, information)
-    np.testing.assert_allclose(given_pose.covariance, expected.covariance, atol=1e-8)
-    np.testing.assert_allclose(given_pose.vision_bias, expected.vision_bias, atol=1e-5)
 
 
 @given(SEEDS)
@@ -186,16 +158,6 @@ def test_the_latency_of_vision_is_estimated_while_the_palm_moves():
     assert np.abs(scores).max() < 3
 
 
-def test_measurements_from_one_palm_are_kept_as_one_with_the_information_of_all():
-    many, _ = turned(0, np.pi, measurements=100)
-    assert len(many.measurements) == MOST_MEASUREMENTS
-    still, _ = turned(0, 0.0, measurements=5)
-    T = still.measurements["T_mount_palm"][-1]
-    again = still.updated(GaussianPose(still.expected(T), NOISE), T)
-    assert len(again.measurements) == len(still.measurements)
-    np.testing.assert_allclose(again.measurements["covariance"][-1], NOISE / 2, atol=1e-12)
-
-
 def test_old_measurements_count_less_if_the_object_moves_in_the_palm():
     fixed, _ = turned(1, np.pi / 2)
     moving = fixed.inflated(np.array([0.02**2] * 3 + [0.1**2] * 3))
@@ -243,24 +205,3 @@ def test_the_object_stays_in_the_world_when_the_palm_moves(seed):
     for T_before, T_after in Ts:
         expected = smoother.expected(T_before)
         np.testing.assert_allclose(transformed.expected(T_after), expected, atol=1e-9)
-
-
-@given(SEEDS)
-def test_process_noise_adds_to_the_covariance_that_is_given_as_information(seed):
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(6, 6))
-    information, variance = root @ root.T + 0.1 * np.eye(6), rng.uniform(0.01, 1, 6)
-    expected = np.linalg.inv(np.linalg.inv(information) + np.diag(variance))
-    unknown, still, moved = np.diag([1.0, 1, 1, 1, 1, 0]), information.copy(), information.copy()
-    for matrix, noise in ((moved, variance), (unknown, variance), (still, np.zeros(6))):
-        inflate(matrix, noise)
-    np.testing.assert_allclose(moved, expected, atol=1e-9)
-    assert unknown[5, 5] == 0
-    np.testing.assert_allclose(still, information, rtol=1e-12)
-
-
-def test_the_nearest_semidefinite_matrix_of_a_semidefinite_one_is_itself():
-    root = np.random.default_rng(0).normal(size=(6, 6))
-    np.testing.assert_allclose(nearest_semidefinite(root @ root.T), root @ root.T, atol=1e-10)
-    mixed = np.diag([4.0, 1, 1, -3, 1, 1])
-    np.testing.assert_allclose(nearest_semidefinite(mixed), np.diag([4.0, 1, 1, 0, 1, 1]), atol=1e-10)

@@ -89,30 +89,6 @@ def gaussian(T, covariance, weight=1.0):
     return estimate
 
 
-def test_overlapping_explanations_have_the_mean_and_the_covariance_of_their_mixture():
-    rng = np.random.default_rng(0)
-    one = np.diag([0.002**2] * 3 + [0.02**2] * 3)
-    other, step = 4 * one, np.array([0.004, -0.003, 0.002, 0.03, 0.0, -0.02])
-    T = se3.random(rng)
-    first, second = gaussian(T, one), gaussian(se3.moved(T, step), other)
-    both = Alternatives.of(BOX, [(0.7, first), (0.3, second)]).added(BOX, first)
-    draws = rng.multivariate_normal(np.zeros(6), one, 200_000)
-    draws[:60_000] = rng.multivariate_normal(step, other, 60_000)
-    np.testing.assert_allclose(se3.difference(both.T_palm_object, T), draws.mean(axis=0), atol=1e-3)
-    scale = np.sqrt(np.outer(np.diag(one), np.diag(one)))
-    np.testing.assert_allclose(both.covariance / scale, np.cov(draws.T) / scale, atol=0.1)
-    assert len(both.hypotheses) == 1
-    assert not ambiguity(BOX, both)
-
-
-def test_a_direction_of_which_nothing_is_known_leaves_the_joined_covariance_unbounded():
-    variances = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 3e3]) ** 2
-    one = PoseEstimate.from_gaussian(np.eye(4), np.diag(variances), np.zeros((0, 6)))
-    both = Alternatives.of(BOX, [(0.7, one), (0.3, one)]).added(BOX, one)
-    assert np.linalg.matrix_rank(both.information, tol=1e-6) == 5
-    assert both.covariance is None
-
-
 def test_distant_explanations_stay_hypotheses_and_the_answer_says_how_far_they_are_apart():
     covariance, T = np.diag([0.002**2] * 3 + [0.02**2] * 3), np.eye(4)
     far = se3.moved(T, np.array([0.04, 0, 0, 0, 0, 0]))

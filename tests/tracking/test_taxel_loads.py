@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 import handsight as hs
-import tip_scenes
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, contacts, rig, sensor_frame
-from forces.loads import FINGERS, Clock, load, sliding, steady
+from forces.loads import FINGERS, load, steady
 from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import TactileSurface, compensate
-from handsight.forces import FRICTION, LINK_TAXELS, SLIP, SlipDetector, Weigher
-from handsight.rig.layouts import Layout
-from handsight.tracking import SkinContacts, SkinSensors
+from handsight.forces import LINK_TAXELS, SlipDetector, Weigher
+from testbed import skin_scenes
 
 JOINTS = len(rig().hand.moving)
 KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)
@@ -72,34 +70,6 @@ def test_taxels_beside_a_wrench_on_one_tip_are_not_counted_twice():
     assert weigher.believed.mass == alone.believed.mass
 
 
-def on_palm(force, point=CENTER):
-    """What changes an observation as taxels of the palm do that measure a force at a point."""
-    wrench = np.concatenate([force, np.cross(point, force)])
-    return lambda seen: replace(seen, wrenches={**seen.wrenches, LINK_TAXELS.format(PALM): wrench})
-
-
-def test_a_load_that_the_palms_taxels_bear_is_a_part_of_the_weight():
-    """Without them it contradicts the weight; with pressure alone they say that they measure no force."""
-    push = np.array([0.0, 0.0, 1.0])
-    pressed = Held(extra_palm=push)
-    known = weighed(Weigher(hand(PALM), MASS, 0.003), pressed, on_palm(-push))
-    assert known.believed.mass == pytest.approx(MASS, rel=5e-3)
-    assert weighed(Weigher(rig(), MASS, 0.003), pressed).believed is None
-    unknown = weighed(Weigher(hand(PALM), MASS, 0.003), pressed, on_palm(np.full(3, np.nan)))
-    assert unknown.believed is None
-    assert unknown.reason == f"the taxels of {PALM} measure no force: pressure alone, or full scale"
-
-
-def test_sensors_slower_than_the_joints_weigh_by_the_readings_that_came():
-    def sparse(seen):
-        seen = by_taxels(seen, "th")
-        slow = round(seen.stamp * 100) % 4 != 0
-        kept = {name: w for name, w in seen.wrenches.items() if not (slow and name not in rig().fingers)}
-        return replace(seen, wrenches=kept)
-
-    assert weighed(Weigher(hand(THUMB)), Held(), sparse).believed.mass == pytest.approx(MASS, rel=2e-3)
-
-
 def test_the_gains_of_taxels_are_as_uncertain_as_their_noise_so_the_weight_is_too():
     by_wrench = weighed(Weigher(rig()), Held()).believed.sigma_mass
     names = list(rig().fingers)
@@ -114,10 +84,10 @@ def test_the_gains_of_taxels_are_as_uncertain_as_their_noise_so_the_weight_is_to
 @pytest.mark.parametrize("components", [1, 3])
 def test_the_wrench_of_a_surface_is_the_sum_over_its_taxels(components):
     rng = np.random.default_rng(2)
-    shape = tip_scenes.SHAPES["ball"]
+    shape = skin_scenes.SHAPES["ball"]
     for _ in range(10):
-        tip = tip_scenes.tip(shape, rng, components=components)
-        truth = tip_scenes.pressed(shape, tip, rng, dead=0)
+        tip = skin_scenes.tip(shape, rng, components=components)
+        truth = skin_scenes.pressed(shape, tip, rng, dead=0)
         touch = tip.touch(truth.readings)
         if components == 1:
             assert np.isnan(touch.wrench).all()
@@ -130,22 +100,6 @@ def test_the_wrench_of_a_surface_is_the_sum_over_its_taxels(components):
     assert (tip.touch(np.zeros(tip.shape)).wrench == 0).all()
 
 
-def test_the_torsion_of_a_patch_is_the_moment_of_its_wrench_about_its_point():
-    """On a cylinder, away from the edge of the layout, beyond which a contact's middle is not felt."""
-    bent = Layout.bent(9, 9, 0.003, 0.012, components=3)
-    known = bent.surface(np.eye(4), None, {"frame": "tip", "threshold": 0.02})
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        reading = np.zeros(known.shape)
-        at = reading.reshape(9, 9, 3)[3:6, 3:6]
-        at[:] = rng.uniform([-0.1, -0.1, 0.1], [0.1, 0.1, 0.5], (3, 3, 3))
-        touch = known.touch(reading)
-        (patch,) = touch.patches
-        moment = touch.wrench[3:] - np.cross(patch["point"], touch.wrench[:3])
-        assert moment @ patch["normal"] == pytest.approx(patch["torque"], abs=1e-9)
-        assert abs(patch["torque"]) > 1e-6
-
-
 def test_a_patch_with_a_taxel_at_its_full_scale_measures_no_force():
     known = surface(PALM, full_scale=1.0)
     reading = np.zeros(known.shape)
@@ -156,47 +110,6 @@ def test_a_patch_with_a_taxel_at_its_full_scale_measures_no_force():
     assert len(touch.patches) == 1
     assert np.isnan(touch.wrench).all()
     assert np.isnan(touch.patches["force"]).all()
-
-
-def test_the_load_on_another_link_is_its_wrench_at_the_centre_of_pressure():
-    known = surface(PALM)
-    robot = replace(rig(), skin={"palm": known})
-    reading = np.zeros(known.shape)
-    reading[1:4, 1:3] = [0.2, -0.1, 0.8]
-    observation = hs.Observation(0.0, Held().joints(), skin={"palm": reading})
-    skin = SkinSensors(robot).observed(observation, SkinContacts(), touched=True)
-    (name,), contact, loads = skin.beside_tips()
-    assert name == LINK_TAXELS.format(PALM)
-    wrench = skin.wrenches[name]
-    (point,), (normal,), (row,) = contact.points_palm, contact.normals_palm, loads
-    assert abs(row[:3] @ normal) < 1e-12
-    np.testing.assert_allclose(row[:3] + row[3] * normal, wrench[:3], atol=1e-12)
-    assert row[3] == pytest.approx(6 * 0.8)
-    middle = known.points.reshape(*known.places, 3)[1:4, 1:3].reshape(-1, 3)
-    np.testing.assert_allclose(point, middle.mean(axis=0), atol=1e-12)
-    radius = np.sqrt(((middle - point) ** 2).sum(axis=1).mean())
-    torsion = (wrench[3:] - np.cross(point, wrench[:3])) @ normal
-    assert row[4] == pytest.approx(torsion * FRICTION.torsion / radius, abs=1e-12)
-
-
-LINK = "the taxels of palm"
-
-
-def detector():
-    """One that knows friction, of a hand with taxels on its palm."""
-    stub = SimpleNamespace(fingers=some_rig().fingers, skin={"palm": surface("palm")})
-    return Clock(SlipDetector(stub, (0.5, 0.02)), (*FINGERS, LINK))
-
-
-@pytest.mark.parametrize(("ratio", "slips"), [(0.2, False), (0.5, True)])
-def test_a_palm_that_sticks_holds_the_object_while_all_fingers_are_at_their_limit(ratio, slips):
-    clock = detector()
-    clock.run(steady([load(0.1)] * 4, 0.1))
-    said = clock.run(steady([load(0.5), load(0.5), load(0.5), load(ratio, 5.0)], 0.1))[-1]
-    assert said.slipping is slips
-    margin = 1 + SLIP.gain_sigmas * surface("palm").noise  # as taxels may miss a part of the load
-    assert said.ratios[LINK] == pytest.approx(ratio / 0.5 * margin, rel=0.02)
-    assert said.unmeasured == ()
 
 
 def tips_of_taxels():
@@ -226,18 +139,8 @@ def test_tips_of_taxels_slip_where_they_may_be_at_their_limits_and_their_loads_a
 ):
     """Their ratios are known to 5 %, so a rest just below the limit is told from a slide by its constant loads."""
     one = SlipDetector(tips_of_taxels(), (0.5, 0.02))
-    said = [one.update(0.002 * k, FINGERS, row, (), taxels) for k, row in enumerate(loads, 1)]
+    said = [one.update(0.002 * k, FINGERS, row, taxels) for k, row in enumerate(loads, 1)]
     assert any(each.slipping for each in said) is slips
-
-
-@pytest.mark.parametrize("taxels", [(), FINGERS])
-def test_friction_is_learnt_from_noisy_ratios_of_taxels_as_from_wrenches(taxels):
-    rng, one = np.random.default_rng(5), SlipDetector(tips_of_taxels())
-    for k, row in enumerate(list(sliding(0.6, 2.0))[::5], 1):  # 100 readings a second
-        noise = 1 + (0.04 if taxels else 0.0) * rng.normal(size=row.shape)
-        said = one.update(0.01 * k, FINGERS, row * noise, (), taxels)
-    assert said.friction == pytest.approx(0.6, rel=0.06)
-    assert said.sigma_friction < SLIP.max_sigma * said.friction
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -257,22 +160,10 @@ def test_errors_of_taxels_that_last_longer_than_a_mean_do_not_contradict_a_weigh
     assert abs(found.believed.mass - MASS) < 3 * found.believed.sigma_mass
 
 
-def test_a_palm_of_pressure_alone_is_named_and_is_no_evidence():
-    clock = detector()
-    unknown = np.full(5, np.nan)
-    clock.run(steady([load(0.1), load(0.1), load(0.1), unknown], 0.1))
-    said = clock.run(steady([load(0.3), load(0.3), load(0.3), unknown], 0.1))[-1]
-    assert (said.slipping, said.unmeasured) == (False, (LINK,))
-    assert LINK not in said.ratios
-    only = clock.run(steady([unknown] * 4, 0.3))[-1]
-    assert (only.slipping, only.least) == (False, None)
-    assert only.unmeasured == (*FINGERS, LINK)
-
-
 def test_tips_of_pressure_alone_are_contacts_and_no_evidence_of_slips_or_weight(can):
-    robot, shapes = tip_scenes.with_taxels(can.rig, np.random.default_rng(0), components=1)
+    robot, shapes = skin_scenes.with_taxels(can.rig, np.random.default_rng(0), components=1)
     tracker = hs.Tracker(robot, can.model)
-    for observation in tip_scenes.taxel_observations(robot, shapes, can.observations[-40:], 3):
+    for observation in skin_scenes.taxel_observations(robot, shapes, can.observations[-40:], 3):
         tracker.update(observation)
     assert len(tracker.fingertips.fingers) >= 3
     assert set(tracker.slip.unmeasured) == set(tracker.fingertips.fingers)

@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 import handsight as hs
-import tip_scenes
 from handsight import se3
 from handsight.contact import TactileSurface
 from handsight.errors import InvalidInput
 from handsight.recording import RecordingWriter, open_recording
 from handsight.tracking import FingertipSensors, SkinContacts, SkinSensors
+from testbed import skin_scenes
+from testbed.refusals import refused
 
 
 @pytest.fixture(scope="module")
 def taxels(can):
     """The can's rig with 30 three-axis taxels on each tip, and its observations with taxels in place of wrenches."""
-    rig, shapes = tip_scenes.with_taxels(can.rig, np.random.default_rng(0))
-    return rig, shapes, list(tip_scenes.taxel_observations(rig, shapes, can.observations, 3))
+    rig, shapes = skin_scenes.with_taxels(can.rig, np.random.default_rng(0))
+    return rig, shapes, list(skin_scenes.taxel_observations(rig, shapes, can.observations, 3))
 
 
 def followed(rig, model, observations):
@@ -34,7 +35,7 @@ def test_a_hand_of_taxels_alone_is_tracked_as_one_of_wrenches(can, taxels):
     errors = []
     for each, given in ((can.rig, can.observations), (rig, observations)):
         tracker = followed(each, can.model, given)
-        assert tracker.state == "tracking"
+        assert tracker.state == "tracking", (tracker.reason, tracker.sigma, len(errors))
         shift = se3.difference(tracker.estimate.T_palm_object, can.T_palm_object)[:3]
         axis = can.T_palm_object[:3, 2]
         errors.append(np.linalg.norm(shift - shift @ axis * axis))
@@ -70,7 +71,7 @@ def test_a_patch_on_a_tip_has_the_joints_errors_and_the_load(can, taxels):
 
 def test_taxels_say_where_and_the_wrench_says_how_much(can, taxels):
     rig, shapes, _ = taxels
-    both = next(tip_scenes.taxel_observations(rig, shapes, can.observations[-1:], 3, wrenches=True))
+    both = next(skin_scenes.taxel_observations(rig, shapes, can.observations[-1:], 3, wrenches=True))
     skin = SkinSensors(rig).observed(both, touched=True)
     touch = FingertipSensors(rig).contacts(both, None, skin)
     alone = FingertipSensors(can.rig).contacts(can.observations[-1])
@@ -98,7 +99,7 @@ def test_taxels_say_where_and_the_wrench_says_how_much(can, taxels):
 
 
 def test_a_second_patch_on_a_tip_is_evidence_beside_the_fingers_contact(can):
-    rig, _ = tip_scenes.with_taxels(can.rig, np.random.default_rng(0))
+    rig, _ = skin_scenes.with_taxels(can.rig, np.random.default_rng(0))
     name = next(iter(rig.fingers))
     surface = rig.skin[name]
     reading = np.zeros(surface.shape)
@@ -137,7 +138,8 @@ def test_readings_of_any_shape_are_the_same_after_a_recording(can, taxels, tmp_p
     with RecordingWriter(tmp_path / "taxels.mcap", rig) as writer:
         for each in given:
             writer.write(each)
-    heard = list(open_recording(tmp_path / "taxels.mcap", rig).observations())
+    with open_recording(tmp_path / "taxels.mcap", rig) as recording:
+        heard = list(recording.observations())
     assert len(heard) == len(given)
     for name in rig.skin:
         np.testing.assert_allclose(heard[-1].skin[name], given[-1].skin[name], atol=1e-6)
@@ -147,7 +149,9 @@ class Watch:
     """A surface of the palm whose readings are observed one after the other."""
 
     def __init__(self, can, **fields):
-        surface = tip_scenes.tip(tip_scenes.SHAPES["ball"], np.random.default_rng(0), components=1, **fields)
+        surface = skin_scenes.tip(
+            skin_scenes.SHAPES["ball"], np.random.default_rng(0), components=1, **fields
+        )
         self.surface = replace(surface, frame=can.rig.hand.palm)
         self.sensors, self.skin = SkinSensors(replace(can.rig, skin={"a": self.surface})), SkinContacts()
         self.rng, self.offset = np.random.default_rng(1), np.zeros(30)
@@ -251,8 +255,5 @@ def test_counts_without_a_scale_are_refused_with_the_surfaces_name(can, taxels):
     rig, _, observations = taxels
     name = next(iter(rig.fingers))
     counts = replace(observations[-1], skin={name: 1e4 * observations[-1].skin[name]})
-    expected = (
-        rf"observation\.skin\['{name}'\]: expected newtons, after the rig's scale and offset, got a force of"
-    )
-    with pytest.raises(InvalidInput, match=expected):
+    with refused(InvalidInput, f"observation.skin['{name}']"):
         hs.Tracker(rig, can.model).update(counts)

@@ -1,8 +1,6 @@
 """A tracker propagates the pose, corrects it when there is new evidence, and reports when it is uncertain."""
 
 import contextlib
-import gc
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +8,13 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.correction.estimate import point_uncertainty
 from handsight.errors import InvalidInput
 from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
-from handsight.tracking.images import IMAGES
 from handsight.tracking.replay import Tally, replay
+from testbed.refusals import refused
 
 
 def tracked(grasp, **settings):
@@ -79,21 +76,6 @@ def test_points_of_the_hand_bound_a_slide_and_are_left_out_without_their_joints(
         wrenches = {name: seen.wrenches[name] for name in three}
         lacking.update(replace(seen, joint_positions=joints, wrenches=wrenches))
     assert lacking.corrections > 0
-
-
-def test_the_covariance_of_a_point_is_that_of_random_poses(box):
-    """Of an object whose origin is far from it: what counts is the object, not its origin."""
-    rng = np.random.default_rng(3)
-    estimate = tracked(box).estimate
-    root = np.linalg.cholesky(estimate.covariance) * 0.05  # small turns: to first order
-    narrow = estimate.with_gaussian(estimate.T_palm_object, root @ root.T, np.linalg.inv(root @ root.T))
-    point = np.array([0.4, -0.3, 0.2])
-    drawn = se3.moved(
-        np.repeat(narrow.T_palm_object[None], 20_000, axis=0), rng.normal(size=(20_000, 6)) @ root.T
-    )
-    places = se3.apply(drawn, point[None])[:, 0]
-    expected = point_uncertainty(narrow, box.model, point)[0]
-    np.testing.assert_allclose(np.cov(places.T), expected, atol=0.05 * np.trace(expected))
 
 
 def test_there_is_no_pose_before_a_start_or_vision(can):
@@ -161,6 +143,7 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
     tracker.update(later(last, 0.5, wrenches=silent))
     assert set(tracker.track_state.memory.last) - set(tracker.fingertips.fingers) == {finger}
     assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
+    tracker.update(later(last, 1.4, wrenches=silent))
     tracker.update(later(last, 1.6, wrenches=silent))
     assert set(tracker.track_state.memory.last) == set(tracker.fingertips.fingers)
     tracker.update(later(last, 1.7))
@@ -197,7 +180,7 @@ def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):
 def test_an_observation_that_comes_late_changes_nothing_and_is_counted(can):
     tracker = tracked(can)
     before = tracker.estimate
-    assert tracker.update(can.observations[3]) is before
+    assert tracker.update(can.observations[-3]) is before
     assert tracker.late == 1
 
 
@@ -221,7 +204,7 @@ def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
     known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))
     smoother = tracker.smoother.restarted(known)
-    tracker.resume(replace(tracker.track_state, smoother=smoother, correction=None, table=None))
+    tracker.track_state = replace(tracker.track_state, smoother=smoother, correction=None, table=None)
     states = []
     for k in range(1, 40):
         tracker.update(later(last, 0.1 * k))
@@ -233,7 +216,8 @@ def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(
 
 def test_an_object_neither_touched_nor_detected_for_long_is_lost(can):
     tracker = tracked(can, lost_after=3.0, memory=0.0)
-    tracker.update(later(can.observations[-1], 4.0, wrenches={}))
+    for by in (3.99, 4.0):  # the second confirms the first, whose stamp jumped
+        tracker.update(later(can.observations[-1], by, wrenches={}))
     assert tracker.state == "lost"
     assert tracker.reason.startswith("nothing touched and nothing seen for 4.0 s")
 
@@ -259,15 +243,6 @@ def test_vision_without_a_palm_to_place_it_is_counted(can):
     assert tracker.estimate is None
 
 
-def test_an_arm_in_the_hands_file_gives_the_palms_pose(can):
-    """The simulated hand's file has a wrist: two joints of an arm."""
-    rig = replace(can.rig, world_from="joints")
-    tracker = Tracker(rig, can.model)
-    first = replace(can.observations[0], T_world_palm=None)
-    assert tracker.update(first) is not None
-    np.testing.assert_array_equal(tracker.T_world_palm, rig.hand.T_world_palm(first.joint_positions))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -283,31 +258,10 @@ def test_an_invalid_field_of_an_observation_is_named(can, change, message):
 
 def test_a_pose_in_the_frame_of_a_missing_camera_is_refused(can):
     tracker = Tracker(replace(can.rig, camera=None), can.model)
-    with pytest.raises(InvalidInput, match="the rig has no camera"):
+    with refused(InvalidInput, "vision.frame"):
         tracker.update(can.observations[0])
-    with pytest.raises(InvalidInput, match="tracker: expected a Rig and an ObjectModel, got str and str"):
+    with refused(InvalidInput, "tracker"):
         Tracker("rig", "can")
-
-
-def test_memory_stays_flat(can):
-    tracker = tracked(can, rate=20.0)
-    last, vision = can.observations[-1], can.observations[0].vision
-
-    def run(first, count):
-        for k in range(first, first + count):
-            seen = vision if k % 10 == 0 else None
-            tracker.update(replace(later(last, 0.01 * k), vision=seen))
-
-    # What the tracker keeps, loads of 6.4 s among it, is allocated after the start; blocks of instants are lost at once.
-    tracemalloc.start()
-    run(1, 24 * IMAGES.block)
-    gc.collect()
-    before = tracemalloc.get_traced_memory()[0]
-    run(1 + 24 * IMAGES.block, 16 * IMAGES.block)
-    gc.collect()
-    grown = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    assert grown < 25_000
 
 
 def test_a_clock_that_was_set_back_starts_a_new_track_with_a_reason(can):
@@ -316,31 +270,43 @@ def test_a_clock_that_was_set_back_starts_a_new_track_with_a_reason(can):
     again = [replace(seen, stamp=seen.stamp - 100) for seen in can.observations]
     assert tracker.update(again[0]) is estimate  # it may be wrong
     tracker.update(again[1])
-    assert (tracker.stamp, tracker.late) == (again[1].stamp, 1)
+    assert tracker.stamp == again[1].stamp
     assert tracker.reason.startswith("the clock went back by 101.9 s: a new track")
     for seen in again[2:]:
         tracker.update(seen)
     assert tracker.state == "tracking", tracker.reason
-    assert tracker.late == 1
+    assert tracker.late == 0
 
 
-def test_one_stamp_far_ahead_is_undone(can):
+def test_one_stamp_far_off_is_left_out(can):
     tracker, alone = Tracker(can.rig, can.model), tracked(can)
     for k, seen in enumerate(can.observations):
         if k in (30, 60):
-            tracker.update(replace(seen, stamp=1e6 + k))
+            tracker.update(replace(seen, stamp=1e6 if k == 30 else -1e6))
         tracker.update(seen)
     np.testing.assert_array_equal(tracker.estimate.answer, alone.estimate.answer)
-    assert (tracker.state, tracker.undone, tracker.late) == (alone.state, 2, 0)
+    assert (tracker.state, tracker.late) == (alone.state, 2)
 
 
 def test_a_pause_of_the_sensors_is_no_jump_of_the_clock(can):
     tracker = tracked(can)
     last = can.observations[-1]
     for k in range(1, 6):
-        assert tracker.update(later(last, 5.0 * k)) is tracker.estimate
-        assert tracker.stamp == last.stamp + 5.0 * k
-    assert (tracker.late, tracker.undone, tracker.state) == (0, 0, "tracking")
+        paused = later(last, 5.0 * k)
+        before = tracker.stamp
+        assert tracker.update(paused) is tracker.estimate
+        assert tracker.stamp == before  # it waits for the next one
+        confirming = later(paused, 0.01)
+        assert tracker.update(confirming) is tracker.estimate
+        assert tracker.stamp == confirming.stamp
+    assert (tracker.late, tracker.state) == (0, "tracking")
+
+
+def test_observations_that_are_always_seconds_apart_are_all_used(can):
+    tracker, last = tracked(can), can.observations[-1]
+    used = [tracker.update(later(last, 5.0 * k)) and tracker.stamp - last.stamp for k in range(1, 7)]
+    assert used == [0.0, 10.0, 10.0, 20.0, 20.0, 30.0]
+    assert tracker.late == 0
 
 
 @pytest.mark.parametrize("bad", [{"T_world_palm": np.full((4, 4), np.nan)}, {"stamp": 1.5}])
@@ -365,8 +331,8 @@ def test_a_replay_is_right_over_clocks_that_jump(can):
     stray = replace(seen[40], stamp=1e9)
     tally, tracker = Tally(), Tracker(can.rig, can.model)
     steps = list(replay([*seen[:40], stray, *seen[40:], *looped], tracker, tally))
-    # The second time round the first is left out, and those until vision has come have no pose.
-    answered = [each.stamp for each in [*seen, *looped[5:]]]
+    # The second time round the first is used with the second, which has the answer to both.
+    answered = [each.stamp for each in [*seen, *looped[1:]]]
     assert [step.stamp for step in steps] == answered
     assert tally.answered == len(steps)
     assert tally.observations == 2 * len(seen) + 1
@@ -385,3 +351,12 @@ def test_a_replay_counts_why_a_finger_never_touched(can):
     list(replay(seen, Tracker(can.rig, can.model), tally))
     assert finger not in tally.touched
     assert tally.without[finger] == {"silent": len(seen)}
+
+
+def test_an_arm_in_the_hands_file_gives_the_palms_pose(can):
+    """The simulated hand's file has a wrist: two joints of an arm."""
+    rig = replace(can.rig, world_from="joints")
+    tracker = Tracker(rig, can.model)
+    first = replace(can.observations[0], T_world_palm=None)
+    assert tracker.update(first) is not None
+    np.testing.assert_array_equal(tracker.T_world_palm, rig.hand.T_world_palm(first.joint_positions))

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +65,13 @@ def run(scenario, samples, observations):
     return np.mean(errors), np.mean(np.array(chi2) < 12.6), tracker
 
 
-@cache
-def errors(name, simulated):
+@pytest.fixture(scope="module")
+def errors(simulated, made_once):
+    """`errors(name)`: what `measured` answers, computed by one worker."""
+    return lambda name: made_once(f"errors of vision, {name}", lambda: measured(name, simulated))
+
+
+def measured(name, simulated):
     """Mean errors [m] and shares inside the 95 % region (of some manipulations), by how vision is wrong."""
     rows = {row: [] for row in ("usual", "first", "late", "drift")}
     for seed in range(4 if name == "box" else 2):  # boxes slide in the hand, and differ
@@ -88,9 +92,9 @@ def errors(name, simulated):
 
 
 @pytest.mark.slow
-def test_latency_and_drift_of_vision_are_covered(simulated):
+def test_latency_and_drift_of_vision_are_covered(errors):
     """χ² of six numbers is below 12.6 in 95 %. One fifth of a second late, vision is 8 mm wrong where nothing tells."""
-    both = [errors(name, simulated) for name in ("can", "box")]
+    both = [errors(name) for name in ("can", "box")]
     error, inside = ({row: np.mean([each[k][row] for each in both]) for row in both[0][k]} for k in range(2))
     assert error["late"] <= 1.5 * error["usual"]
     assert min(inside.values()) >= 0.92, inside
@@ -98,8 +102,8 @@ def test_latency_and_drift_of_vision_are_covered(simulated):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["can", "box"])
-def test_more_vision_makes_no_answer_worse(name, simulated):
-    error, _ = errors(name, simulated)
+def test_more_vision_makes_no_answer_worse(name, errors):
+    error, _ = errors(name)
     assert error["usual"] <= 1.1 * error["first"]
 
 

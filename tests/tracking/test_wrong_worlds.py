@@ -12,11 +12,12 @@ from scipy.special import chdtri
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.simulation import MOTION, Scenario, model_of, rig_of
+from handsight.simulation import Scenario, model_of, rig_of
+from handsight.simulation.motion import FREE_AT
 from handsight.tracking import Tracker
 from handsight.tracking.misfit import FINGER_OR_OBJECT, OTHER_OBJECT
 from objects.object_shapes import data_file
-from scenes import chi2, nearest_truth
+from testbed.scenes import chi2, nearest_truth
 
 AT_REST = 2.0
 """Instants from here on count [s]: the object is in the hand."""
@@ -129,21 +130,19 @@ def test_an_object_that_rests_in_its_own_way_is_not_tracked_far_off(recorded, na
     assert track.inside.mean() >= 0.75
 
 
-@pytest.mark.parametrize("off", [0.02, 0.05])
+@pytest.mark.parametrize("off", [0.05, 0.12])
 def test_a_start_that_contacts_contradict_by_ten_sigma_or_more_does_not_hold_the_answer(can, off):
-    """The can is said to be aside, known to 2 mm and 2°. One that is 25 sigma off no wider prior explains: it is named."""
+    """The can is said to be aside, known to 5 mm, as a finger may have pushed it. What no wider prior explains is named."""
     sideways = off * can.T_palm_object[:3, 0]
     wrong = se3.moved(can.T_palm_object, np.r_[sideways, np.zeros(3)])
     start = hs.PosePrior.from_sigmas(wrong, 0.002, float(np.deg2rad(2)))
-    # No finger has pushed the object.
-    settings = hs.TrackerSettings(regrasp_position=0.0, regrasp_rotation=0.0)
-    tracker = Tracker(can.rig, can.model, start=start, settings=settings)
+    tracker = Tracker(can.rig, can.model, start=start)
     estimate = tracker.update(replace(can.held[-1], vision=None))
     error = sideways @ se3.difference(estimate.T_palm_object, can.T_palm_object)[:3] / off
     assert abs(error) < 0.003
     assert tracker.sigma > 0.004
     named = {conflict.evidence for conflict in estimate.conflicts}
-    assert (tracker.state == "uncertain" and named == {"vision"}) == (off > 0.02)
+    assert (tracker.state == "uncertain" and named == {"vision"}) == (off > 0.06)
 
 
 def smaller_tips(rig):
@@ -170,6 +169,7 @@ def test_tips_of_another_radius_and_noisier_sensors_are_within_the_region(record
         usual.append(Track(recording))
         rows["tip"].append(Track(recording, rig=smaller_tips(recording.rig)))
         rows["noise"].append(Track(recording, noisier(recording.observations, rng)))
+    assert all(track.inside.mean() > 0.9 for track in usual)
     for tracks in rows.values():
         assert all(track.silent() <= 0.01 for track in tracks)
         assert np.mean([track.off.mean() for track in tracks]) < 1.5 * np.mean([u.off.mean() for u in usual])
@@ -180,9 +180,9 @@ def test_tips_of_another_radius_and_noisier_sensors_are_within_the_region(record
 def test_another_object_is_said_within_two_seconds_of_the_grasp(recorded, name, seed, told):
     model = model_of(Scenario(object=told))
     recording = recorded(name, seed)
-    observations = [o for o in recording.observations if o.stamp < MOTION.free + 2]
+    observations = [o for o in recording.observations if o.stamp < FREE_AT + 2]
     track = Track(recording, observations, model=model)
-    assert min(stamp for reason, stamp in track.said.items() if "another object" in reason) < MOTION.free + 2
+    assert min(stamp for reason, stamp in track.said.items() if "another object" in reason) < FREE_AT + 2
 
 
 def test_one_finger_that_is_calibrated_badly_does_not_make_the_object_another_one(recorded):

@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ from handsight import se3
 from handsight.viewer.player import Player
 from handsight.viewer.scene import quaternions_wxyz
 from handsight.viewer.timeline import curves
-from viewer.conftest import needs_viser
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (
@@ -22,8 +22,7 @@ PATIENCE = 120.0
 
 
 @pytest.fixture
-def browser():
-    needs_viser()
+def browser(viser):
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="the browser needs playwright (handsight[dev])"
     )
@@ -61,7 +60,8 @@ def amber(page):
 @pytest.mark.slow
 def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, page, tracked):
     timeline = tracked.timeline
-    player = Player(page, timeline, lambda: curves(timeline.moments, tracked.model, tracked.truths))
+    plotted = partial(curves, timeline.moments, timeline.begin, tracked.model, tracked.truths)
+    player = Player(page, timeline, plotted)
     player.playing = False
     player.finish()
     player.start()

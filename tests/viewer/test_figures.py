@@ -1,13 +1,9 @@
 """Figures of objects without triangles, which scans are."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from handsight import Camera, Contacts, ObjectModel, PosePrior, se3
-from handsight.evaluation import Truths
-from handsight.forces import Slip
 from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 from handsight.viewer.shapes import silhouette
 
@@ -39,35 +35,3 @@ def test_a_correction_of_a_scan_is_drawn(box, tmp_path):
     )
     draw_corrections([panel], tmp_path / "scan.png")
     assert (tmp_path / "scan.png").stat().st_size > 5_000
-
-
-def test_a_track_says_where_another_side_faces_down(monkeypatch, tmp_path):
-    """The base's centre jumps there, although the object turns smoothly."""
-    pytest.importorskip("matplotlib")
-    from handsight.viewer import track_figure
-
-    model = ObjectModel.box([0.06, 0.09, 0.14])
-    turned = [
-        se3.compose(se3.rotation_exp(np.array([angle, 0, 0])), np.zeros(3))
-        for angle in np.linspace(0, 1.5, 31)
-    ]
-    estimates = [SimpleNamespace(T_palm_object=T, covariance_bounded=np.eye(6) * 1e-6) for T in turned]
-    steps = [
-        SimpleNamespace(
-            stamp=0.1 * k,
-            estimate=one,
-            T_palm_object_vision=None,
-            T_world_palm=None,
-            state="tracking",
-            slip=Slip(),
-        )
-        for k, one in enumerate(estimates)
-    ]
-    monkeypatch.setattr(track_figure, "point_uncertainty", lambda *_: (np.eye(3) * 1e-6,))
-    kept = []
-    monkeypatch.setattr(track_figure, "save", lambda figure, path: kept.append(figure))
-    track_figure.draw_track("box", model, steps, Truths([]), tmp_path / "track.png")
-    (figure,) = kept
-    # The side that faces down is another beyond 45°.
-    (line,) = [line for line in figure.axes[0].lines if "faces down" in str(line.get_label())]
-    assert line.get_xdata()[0] == pytest.approx(0.1 * np.searchsorted(np.linspace(0, 1.5, 31), np.pi / 4))

@@ -1,6 +1,6 @@
 """Frozen numbers of real frames: `PYTHONPATH=.:tests python tests/vision/real_evidence.py` writes them beside this file.
 
-Poses that were answered, with their scores, are written by `python experiments/sight_frames.py --trials 5
+Poses that were answered, with their scores, are written by `python -m experiments.sight.frames --trials 5
 --no-recognition --store tests/vision/real_answers.csv`. Neither file contains images, meshes or true poses.
 """
 
@@ -14,7 +14,7 @@ from handsight._kernels.image import depth_term
 from handsight._kernels.image.vision_records import STAGE
 from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, UNKNOWN, candidates_at, center_depths, depth_errors
-from handsight.vision.object.first_pose import FIRST_POSE
+from handsight.vision.object.first_pose import FIRST_SPACING, MAX_POINTS
 from handsight.vision.object.region import observed_points, scene_of
 from testbed import real_frames
 
@@ -30,7 +30,7 @@ def evidence(model, frame, instance):
     scene = scene_of(
         frame.camera, frame.depth, wanted=frame.wanted(instance, "mask"), table=np.array([0, 0, 0, 9.0])
     )
-    points = observed_points(scene, FIRST_POSE.spacing * model.diameter, FIRST_POSE.max_points)
+    points = observed_points(scene, FIRST_SPACING * model.diameter, MAX_POINTS)
     stage = np.array([(1, BOUND, BOUND, 1, 1)], dtype=STAGE)
     candidates = candidates_at(instance.T_camera_object[None])
     candidates["bound"] = BOUND

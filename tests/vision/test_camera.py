@@ -11,6 +11,7 @@ from handsight.camera import Camera
 from handsight.errors import InvalidInput
 from handsight.rig import DepthCamera, MountedCamera
 from handsight.vision import PRESETS
+from testbed.refusals import refused
 
 MATRIX = np.array([[300.0, 0, 158.0], [0, 310, 121.0], [0, 0, 1]])
 BARREL = (-0.28, 0.07, 2e-4, 1.6e-5, 0.0)
@@ -47,18 +48,18 @@ def test_points_behind_or_beyond_the_lens_have_no_pixel():
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "field"),
     [
-        ({"matrix": np.eye(2)}, "matrix: expected"),
-        ({"matrix": np.diag([-300.0, 300, 1])}, r"matrix: expected \[\[fx, 0, cx\]"),
-        ({"size": (0, 240)}, "size: expected width and height above 0"),
+        ({"matrix": np.eye(2)}, "matrix"),
+        ({"matrix": np.diag([-300.0, 300, 1])}, "matrix"),
+        ({"size": (0, 240)}, "size"),
         ({"size": (99999, 99999)}, "size"),
-        ({"lens": np.zeros(3)}, "lens: expected 0, 4, 5, 8 numbers, got 3"),
+        ({"lens": np.zeros(3)}, "lens"),
         ({"lens": np.array([np.nan] * 5)}, "lens"),
     ],
 )
-def test_what_is_no_camera_is_said(changes, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_what_is_no_camera_is_said(changes, field):
+    with refused(InvalidInput, field):
         Camera(**({"matrix": MATRIX, "size": (320, 240)} | changes))
 
 
@@ -103,18 +104,15 @@ def test_points_of_a_depth_image_fall_on_their_pixels_at_their_depth(lens):
 
 
 @pytest.mark.parametrize(
-    ("depth", "message"),
+    ("depth", "field"),
     [
-        (np.ones((320, 240)), r"depth: expected 320 x 240 pixels, got 240 x 320"),
-        (np.ones((240, 320, 1)), r"got 1 x 320 x 240"),
-        (
-            np.full((240, 320), 900, np.uint16),
-            r"depth: expected metres as floats, got uint16 \(millimetres\?\)",
-        ),
+        (np.ones((320, 240)), "depth"),
+        (np.ones((240, 320, 1)), "depth"),
+        (np.full((240, 320), 900, np.uint16), "depth"),
     ],
 )
-def test_depth_of_another_size_or_kind_is_said(depth, message):
-    with pytest.raises(InvalidInput, match=message):
+def test_depth_of_another_size_or_kind_is_said(depth, field):
+    with refused(InvalidInput, field):
         Camera(MATRIX, (320, 240)).points(depth)
 
 
@@ -123,18 +121,15 @@ def test_a_rigs_camera_is_one_with_its_lens():
     np.testing.assert_array_equal(made.matrix, MATRIX)
     np.testing.assert_array_equal(made.lens, BARREL)
     assert made.size == (320, 240)
-    with pytest.raises(InvalidInput, match="^camera: expected one with intrinsics in the rig, got no camera"):
+    with refused(InvalidInput, "camera"):
         Camera.of(None)
-    with pytest.raises(
-        InvalidInput, match="^camera: expected one with intrinsics in the rig, got one without"
-    ):
+    with refused(InvalidInput, "camera"):
         Camera.of(MountedCamera())
 
 
 def test_each_kind_of_depth_camera_that_a_rig_may_have_is_known():
     assert sorted(PRESETS) == sorted(get_args(DepthCamera))
-    said = "depth_camera: expected one of structured_light, time_of_flight, stereo, got 'stero'; the nearest valid one is 'stereo'"
-    with pytest.raises(InvalidInput, match=f"^{said}"):
+    with refused(InvalidInput, "depth_camera"):
         MountedCamera(depth_camera="stero")
-    with pytest.raises(InvalidInput, match="^lens: expected 0, 4, 5, 8 numbers, got 3"):
+    with refused(InvalidInput, "lens"):
         MountedCamera(lens=np.zeros(3))

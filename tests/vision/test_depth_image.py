@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from handsight._kernels.image import depth_image
 from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, TABLE
-from sight_scenes import CAMERA
+from testbed.sight_scenes import CAMERA
 
 
 @settings(max_examples=30, deadline=None)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from handsight.errors import InvalidInput
-from handsight.vision import PRESETS, STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT, DepthNoise
+from handsight.vision import PRESETS, STRUCTURED_LIGHT, DepthNoise
+from testbed.refusals import refused
 
 
 def test_a_kinect_is_about_as_noisy_as_those_found_who_measured_it():
@@ -20,11 +21,14 @@ def test_a_kinect_is_about_as_noisy_as_those_found_who_measured_it():
 
 def test_stereo_is_known_to_a_part_of_a_pixel_of_disparity():
     z = np.array([0.5, 1.0, 2.0])
-    np.testing.assert_allclose(425 * 0.05 / z - 425 * 0.05 / (z + STEREO.sigma(z)), 0.08, rtol=0.02)
+    np.testing.assert_allclose(
+        425 * 0.05 / z - 425 * 0.05 / (z + PRESETS["stereo"].sigma(z)), 0.08, rtol=0.02
+    )
 
 
 def test_time_of_flight_hardly_gets_worse_with_distance():
-    assert TIME_OF_FLIGHT.sigma(2.0) < 1.5 * TIME_OF_FLIGHT.sigma(0.6)
+    time_of_flight = PRESETS["time_of_flight"]
+    assert time_of_flight.sigma(2.0) < 1.5 * time_of_flight.sigma(0.6)
     assert STRUCTURED_LIGHT.sigma(2.0) > 9 * STRUCTURED_LIGHT.sigma(0.6)
 
 
@@ -40,18 +44,18 @@ def test_sigmas_are_of_the_depths_shape_and_multiples_multiply_them(kind):
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "field"),
     [
-        ({"axial": (0.1, 0.2)}, "axial: expected 3 finite numbers"),
-        ({"smooth": -1e-3}, "smooth: expected a number from 0 to 100, got -0.001"),
-        ({"offset": np.nan}, "offset: expected a finite number"),
-        ({"edges": 1.1}, "edges: expected a number from 0 to 1, got 1.1"),
-        ({"edge_width": 1.5}, "edge_width: expected a whole number from 0 to 100, got 1.5"),
-        ({"nearest": 2.0, "farthest": 1.0}, "farthest: expected more than nearest, 2, got 1"),
+        ({"axial": (0.1, 0.2)}, "axial"),
+        ({"smooth": -1e-3}, "smooth"),
+        ({"offset": np.nan}, "offset"),
+        ({"edges": 1.1}, "edges"),
+        ({"edge_width": 1.5}, "edge_width"),
+        ({"nearest": 2.0, "farthest": 1.0}, "farthest"),
     ],
 )
-def test_what_no_camera_has_is_said(changes, message):
-    with pytest.raises(InvalidInput, match=f"^{message}"):
+def test_what_no_camera_has_is_said(changes, field):
+    with refused(InvalidInput, field):
         replace(STRUCTURED_LIGHT, **changes)
-    with pytest.raises(InvalidInput, match="^amount: expected a number of at least 0, got -1"):
+    with refused(InvalidInput, "amount"):
         DepthNoise(axial=(0, 0, 1e-3)).times(-1)

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 from handsight import se3
 from handsight.vision import hand_mask
 from handsight.vision.palm.hand_in_image import AROUND
-from sight_scenes import CAMERA
+from testbed.sight_scenes import CAMERA
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)

@@ -1,4 +1,4 @@
-"""Objects out of depth images: what is fused, where views are found to be, what is guessed, and what goes to the model."""
+"""Objects out of depth images: what is fused, where views are found to be, and what goes to the model."""
 
 import functools
 
@@ -11,16 +11,25 @@ from scipy.spatial import cKDTree
 import handsight as hs
 from handsight import se3
 from handsight.vision import STRUCTURED_LIGHT, locate
-from handsight.vision.reconstruction.completion import closed, one_object, share_observed
+from handsight.vision.reconstruction.parts import above_table, parts_of, share_observed
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
 from handsight.vision.reconstruction.volume import Volume
-from sight_scenes import CAMERA, drawn, letter, mssd
-from views_around import CAN, path, pictures, standing, wrong
+from testbed.scenes import can
+from testbed.sight_scenes import (
+    CAMERA,
+    drawn,
+    letter,
+    mssd,
+    path_around,
+    pictures_around,
+    standing,
+    wrong_poses,
+)
 
 BOUNDS = np.array([[-0.1, -0.1, -0.02], [0.1, 0.1, 0.15]])
 LETTER = hs.ObjectModel.from_mesh(*letter())
-THINGS = {"can": CAN, "letter": LETTER, "box": hs.ObjectModel.box((0.05, 0.08, 0.1))}
+THINGS = {"can": can(), "letter": LETTER, "box": hs.ObjectModel.box((0.05, 0.08, 0.1))}
 
 
 def grown(Ts, images, *, estimate):
@@ -32,8 +41,8 @@ def grown(Ts, images, *, estimate):
 @functools.cache
 def views(name, n=24, turns=1.0):
     rng = np.random.default_rng([n, len(name)])
-    Ts, shape = path(n, rng, turns=turns), standing(THINGS[name])
-    return Ts, pictures(Ts, shape, rng)
+    Ts, shape = path_around(n, rng, turns=turns), standing(THINGS[name])
+    return Ts, pictures_around(Ts, shape, rng)
 
 
 def off(name, points, rng=None):
@@ -61,7 +70,7 @@ def test_a_plane_from_images_without_noise_is_exact(seed):
     rng = np.random.default_rng(seed)
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     volume = Volume(np.array([[-0.04] * 3, [0.04] * 3]), 0.004)
-    for T in path(3, rng, turns=0.2) @ se3.compose(np.eye(3), np.array([0, 0, 0.05])):
+    for T in path_around(3, rng, turns=0.2) @ se3.compose(np.eye(3), np.array([0, 0, 0.05])):
         placed = se3.apply(T, corners)
         volume.fuse(CAMERA, CAMERA.draw(placed, np.array([[0, 1, 2], [0, 2, 3]])).depth, T)
     points, normals = volume.surface()
@@ -74,7 +83,7 @@ def test_a_plane_from_images_without_noise_is_exact(seed):
 
 def test_without_views_there_is_no_surface():
     volume = Volume(BOUNDS, 0.004)
-    volume.fuse(CAMERA, np.zeros((240, 320), np.float32), path(1, np.random.default_rng(0))[0])
+    volume.fuse(CAMERA, np.zeros((240, 320), np.float32), path_around(1, np.random.default_rng(0))[0])
     assert len(volume.surface().points) == 0
     assert not volume.observed().any()
 
@@ -97,9 +106,11 @@ def test_free_space_is_clear_and_hidden_space_is_unknown():
 def test_a_thing_is_found_as_it_is(name, estimate):
     """But for the camera's constant error; also where each pose is 4 mm, 2 degrees off."""
     Ts, images = views(name)
-    rec, found = grown(wrong(Ts, np.random.default_rng(3)) if estimate else Ts, images, estimate=estimate)
+    rec, found = grown(
+        wrong_poses(Ts, np.random.default_rng(3)) if estimate else Ts, images, estimate=estimate
+    )
     assert None not in found
-    surface = one_object(rec.volume.surface(), rec.volume, table=not estimate)
+    surface = next(parts_of(rec.volume.surface(), rec.volume)) if estimate else above_table(rec.volume)
     points = surface.points[surface.points[:, 2] > 0.01]
     error, constant = off(name, points), 2 * float(STRUCTURED_LIGHT.bias(np.array(0.5)))
     assert abs(np.median(error)) < constant
@@ -133,58 +144,17 @@ def test_a_view_of_something_else_does_not_fit():
     np.testing.assert_array_equal(rec.volume.voxels, before)
 
 
-@pytest.mark.parametrize(("name", "guess"), [("can", "a body of revolution"), ("box", "a mirror image")])
-def test_unobserved_surface_is_guessed_and_marked(name, guess):
-    """From two fifths of the way around."""
-    Ts, images = views(name, 24, 0.4)
-    rec, _ = grown(Ts, images, estimate=False)
-    model = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)
-    assert guess in model.guesses
-    assert "its foot, straight down to the table" in model.guesses
-    assert 0.3 < model.measured.mean() < 0.9
-    error = np.abs(off(name, model.points))
-    assert error[model.measured].mean() < 1e-3
-    assert error[~model.measured].mean() < 2.5e-3
-    np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-9)
-    if name == "can":  # a box' mirror images are not all of it
-        assert hs.ObjectModel.from_points(model.points, model.normals).closed
-
-
 @pytest.mark.parametrize("name", ["can", "box"])
 @pytest.mark.parametrize("turns", [0.05, 0.4, 1.0])
 def test_the_share_that_was_observed_is_of_the_closed_surface(name, turns):
     """It is an upper bound: more may be hidden behind what is seen."""
     Ts, images = views(name, 12, turns)
     rec, _ = grown(Ts, images, estimate=False)
-    surface = one_object(rec.volume.surface(), rec.volume, table=True)
+    surface = above_table(rec.volume)
     truth = THINGS[name].sample(4000)[0] - [*THINGS[name].center_object[:2], THINGS[name].bounds_object[0, 2]]
     covered = (cKDTree(surface.points).query(truth)[0] < 0.004).mean()
     assert covered - 0.05 < share_observed(surface, rec.volume) < covered + 0.25
     assert share_observed(surface, rec.volume) < 0.9  # the base is hidden
-
-
-def test_a_volume_that_is_added_is_as_if_its_views_had_been_fused():
-    Ts, images = views("can")
-    T_other_self = se3.compose(se3.rotation_exp(np.array([0.3, -0.8, 0.5])), np.array([0.01, 0.02, 0.03]))
-    both, one, other = (Volume(1.5 * BOUNDS, 0.003) for _ in range(3))
-    for k, (T, depth) in enumerate(zip(Ts, images, strict=True)):
-        both.fuse(CAMERA, depth, T)
-        (one if k % 2 else other).fuse(CAMERA, depth, T if k % 2 else T @ se3.inverse(T_other_self))
-    one.add(other, T_other_self)
-    assert one.views == both.views
-    known = np.isfinite(one.distances()) & np.isfinite(both.distances())
-    assert known.sum() > 0.8 * np.isfinite(both.distances()).sum()
-    assert np.quantile(np.abs(one.distances() - both.distances())[known], 0.9) < 1e-3
-    points = one.surface().points
-    points = points[points[:, 2] > 0.01]
-    assert np.abs(off("can", points)).mean() < 1.2e-3
-
-
-def test_a_thing_without_symmetry_is_not_completed_by_one():
-    Ts, images = views("letter")
-    rec, _ = grown(Ts, images, estimate=False)
-    model = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)
-    assert model.guesses == ("its foot, straight down to the table",)
 
 
 def test_the_thing_on_the_table_is_found_and_nothing_where_there_is_none():
@@ -192,7 +162,7 @@ def test_the_thing_on_the_table_is_found_and_nothing_where_there_is_none():
     T, bounds = on_table(CAMERA, images[0])
     up = Ts[0][:3, 2]
     assert np.rad2deg(np.arccos(T[:3, 2] @ up)) < 2
-    points = se3.apply(se3.inverse(T) @ Ts[0], standing(CAN)[0])
+    points = se3.apply(se3.inverse(T) @ Ts[0], standing(can())[0])
     assert (points > bounds[0] - 2e-3).all()
     assert (points < bounds[1]).all()
     assert on_table(CAMERA, np.zeros((240, 320), np.float32)) is None
@@ -203,8 +173,7 @@ def test_the_thing_on_the_table_is_found_and_nothing_where_there_is_none():
 def test_a_reconstructed_model_is_located_in_an_image():
     Ts, images = views("letter")
     rec, _ = grown(Ts, images, estimate=False)
-    found = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)
-    model = hs.ObjectModel.from_points(found.points[::3])
+    model = hs.ObjectModel.from_points(above_table(rec.volume).points[::3])
     answer = locate(model, images[3], CAMERA)
     assert answer.reason is None
     T_table_letter = se3.compose(np.eye(3), standing(LETTER)[0][0] - np.array(LETTER.vertices)[0])

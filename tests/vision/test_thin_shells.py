@@ -7,15 +7,11 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_term
-from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.objects import propose_symmetries
-from handsight.vision import STRUCTURED_LIGHT
-from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import first_pose, slid, spread_of_modes
-from handsight.vision.object.region import observed_points, scene_of
-from sight_scenes import CAMERA, bowl, drawn, looking, mssd, mug, noisy, on_table
+from handsight.vision.object.first_pose import first_pose, spread_of_modes
+from handsight.vision.object.region import scene_of
+from testbed.sight_scenes import CAMERA, bowl, drawn, looking, mssd, mug, noisy, on_table
 
 
 @functools.cache
@@ -52,48 +48,6 @@ def test_the_inside_of_a_bowl_is_visible_through_its_opening_alone(kind):
     within = inside([0.9, 0, 0.43])
     assert 0.1 < within.mean() < 0.7
     assert places[within, 0].mean() < -0.2 * model.radius
-
-
-@pytest.mark.parametrize("kind", ["bowl", "sheet", "cup"])
-@pytest.mark.parametrize("side", [-1, 1])
-def test_points_of_one_side_of_a_wall_settle_on_that_side(kind, side):
-    """From 6 mm and 4 degrees off: the points of the inside lie outside of the bowl at first."""
-    model, rng = shell(kind), np.random.default_rng(3)
-    R = 0.05 if kind == "cup" else 0.08
-    points, normals = appearance_of(model).sides.samples
-    inside = ((np.array([0, 0, R]) - points) * normals).sum(axis=1) > 0
-    chosen = np.flatnonzero(inside == (side < 0))[:300]
-    truth = se3.random(rng)
-    rows = np.zeros(len(chosen), dtype=DEPTH_POINT)
-    rows["point"], rows["normal"] = se3.apply(truth, points[chosen]), normals[chosen] @ truth[:3, :3].T
-    T = truth @ se3.compose(se3.rotation_exp(np.array([0.05, 0.05, 0])), np.array([3e-3, -2e-3, 5e-3]))
-    candidate, stages = candidates_at(T[None]), np.array([(1, 0.05, 0.05, 20, 1)], dtype=STAGE)
-    depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, candidate)
-    assert mssd(model, truth, poses_of(candidate))[0] < 0.02
-
-
-def test_near_symmetries_are_the_turns_that_only_a_handle_shows():
-    model = shell("mug")
-    turns = appearance_of(model).turns
-    spins = turns[turns[:, 2, 2] > 0.99]
-    angles = np.sort(np.append(np.arctan2(spins[:, 1, 0], spins[:, 0, 0]), 0))
-    assert np.diff(np.append(angles, angles[0] + 2 * np.pi)).max() < 0.5
-    # The body stays where it is.
-    body = model.sample(500)[0]
-    body = body[np.hypot(body[:, 0], body[:, 1]) < 0.041]
-    off = np.abs(model.evaluate(se3.apply(spins, body).reshape(-1, 3)).distance)
-    assert np.percentile(off, 90) < 0.02 * model.diameter
-
-
-def test_near_symmetries_of_a_box_are_without_its_symmetries():
-    box = hs.ObjectModel.box((0.05, 0.053, 0.08))
-    turns = appearance_of(box).turns[:, :3, :3]
-    quarter = np.abs(turns).max(axis=(1, 2)) > 0.99
-    assert quarter.any()
-    assert all(
-        np.linalg.norm(R @ np.diag(d) - np.eye(3)) > 0.2 for R in turns for d in np.diag([1, 1, 1]) * 2 - 1
-    )
-    assert not len(appearance_of(hs.ObjectModel.box((0.02, 0.05, 0.12))).turns)
 
 
 def tabletop(kind, seed):
@@ -168,16 +122,3 @@ def test_a_mode_is_as_wide_as_the_spins_that_fit_as_well_and_turns_of_a_box_are_
     assert spread(shell("mug"), [0, 20, 40, 180], (0, 1, 1, 1))[0] == pytest.approx(0)
     box = hs.ObjectModel.box((0.05, 0.053, 0.08))
     assert spread(box, [0, 90, 180, 270]) == pytest.approx(0, abs=1e-9)
-
-
-def test_a_pose_slides_to_where_walls_end():
-    """Of a tube that is visible from the side, points do not tell how high it is."""
-    model = hs.ObjectModel.cylinder(0.03, 0.12)
-    T = se3.compose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.array([0.01, 0, 0.5]))
-    depth = CAMERA.draw(se3.apply(T, model.vertices), model.faces).depth
-    scene = scene_of(CAMERA, noisy(np.where(np.isfinite(depth), depth, 0), np.random.default_rng(0)))
-    observed = observed_points(scene, model.diameter / 24, 900)
-    candidate = candidates_at((T @ se3.compose(np.eye(3), np.array([0, 0, 0.006])))[None])
-    candidate["bound"] = 0.006
-    after = poses_of(slid(model, scene, observed, candidate, STRUCTURED_LIGHT))[0]
-    assert np.linalg.norm(after[:3, 3] - T[:3, 3]) < 0.0015

@@ -22,7 +22,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
 from handsight.live.node import (
-    PublishedTypes,
     done,
     live_tracker,
     parameters,
@@ -97,7 +96,7 @@ class Ears:
     """Subscriptions to a tracker's topics; of a topic that may have several types, to the one that is published."""
 
     def __init__(self, node, live):
-        self._node, self._live, self._types = node, live, PublishedTypes(live)
+        self._node, self._live = node, live
         self._subscribed, self.heard = {}, time.monotonic()
         for topic, kinds in live.subscriptions.items():
             known = [kind for kind in kinds if made(*kind.split("/"))]
@@ -118,7 +117,7 @@ class Ears:
             better = [kind for kind in published if (any_defined or kind in kinds) and made(*kind.split("/"))]
             for kind in published:
                 if kind not in better:
-                    self._types.on_topic(topic, kind)
+                    self._live.published(topic, kind)
             if better and now not in published:
                 self._subscribe(topic, better[0])
 

@@ -1,15 +1,13 @@
 """The fixed-size values that kernels take, as NumPy structured types; all in SI units.
 
 Kernels read their fields by name (`model.radius`, `contact.normal`). Python fills them once, where users' values are
-checked. A kernel makes the records of its own intermediate values by `simd.local`; they live until it returns.
+checked. A kernel makes the records of its own intermediate values by `stack.local`; they live until it returns.
 """
 
 import numpy as np
 
 SAMPLES = 256
 """Surface samples of an object, with which phase 1 matches contacts."""
-MOST_DEPTH_POINTS = 48
-"""Most depth points of one correction; more would add little, because neighbouring points share their errors."""
 MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels handle."""
 
@@ -84,7 +82,6 @@ CONTACT = record(
     ("normal", "f8", (3,)),
     ("has_normal", "i8"),
     ("used", "i8"),  # whether it is evidence; 0 for an outlier
-    ("of_residual", "i8"),  # whether the covariance is that of its residuals, with the model's error in it
     ("covariance", "f8", (6, 6)),  # of (point, normal)
     ("gain", "f8"),  # written by kernels: by how much χ² falls, to first order, when it is left out
 )
@@ -95,15 +92,10 @@ OBJECT_WEIGHT = record(
     ("center_palm", "f8", (3,)),
     ("information", "f8", (3, 3)),  # of the difference of the two, in the palm [1/m²]
 )
-# Points of one depth image, whose errors are correlated: each has the variance by which all of them together carry as
-# much information about the pose as that image does.
-DEPTH_POINTS = record(("count", "i8"), ("variance", "f8"), ("points", "f8", (MOST_DEPTH_POINTS, 3)))
 # A pose and its covariance before touch is taken into account: vision's, or the last estimate.
 PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
-# Evidence of which a correction has at most one of each kind; `has_prior`, `weight.known` and `depth.count` tell which.
-CONSTRAINTS = record(
-    ("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT), ("depth", DEPTH_POINTS)
-)
+# Evidence of which a correction has at most one of each kind; `has_prior` and `weight.known` tell which.
+CONSTRAINTS = record(("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT))
 # What cannot be inside the object: a point of the hand, the points of one link following each other; or a plane, given
 # by any of its points, and all behind it.
 OUTSIDE = record(
@@ -175,6 +167,7 @@ _ENDED = (
     ("log_weight", "f8"),  # of the mode: log of exp(-cost/2) √det Σ
     ("posterior_cost", "f8"),  # minus two log of the density, up to a constant
     ("gain", "f8"),  # by how much χ² falls at most, to first order, when one contact is left out
+    ("walls", "i8"),  # number of links and planes that the object is within, each a row of evidence
 )
 # One descent among many: its pose, and how it ended.
 DESCENT = record(*_ENDED)
@@ -188,7 +181,7 @@ ANSWER = record(
     ("information", "f8", (6, 6)),
     ("covariance", "f8", (6, 6)),
     ("first_order", "i8"),  # whether these are from the Jacobian alone, at a pose that is no minimum
-    ("mean", "i8"),  # whether it becomes the mode's mean: 0 never, 1 where that is not Gaussian, 2 always
+    ("mean", "i8"),  # whether it becomes the mode's mean where that is not Gaussian
     ("complete", "i8"),  # whether there is a covariance
     ("unobservable", "f8", (6, 6)),
     ("open_count", "i8"),  # number of unobservable directions: the first rows of these
@@ -203,11 +196,8 @@ ANSWER = record(
     ("verdict", "i8"),  # on the descent of one start
 )
 
-# One problem of a batch and its answer: its contacts, from number `first` to `last`, exclusive (0: all), and, if
-# `follows`, the pose `start` that was right a moment ago.
+# How one problem is solved, and its answer: if it `follows`, from the pose `start` that was right a moment ago.
 PROBLEM = record(
-    ("first", "i8"),
-    ("last", "i8"),
     ("pose_only", "i8"),  # whether nothing but the pose is computed, for measuring
     ("follows", "i8"),
     ("start", POSE),

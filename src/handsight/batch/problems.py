@@ -5,20 +5,21 @@ what was expected, and what came.
 """
 
 import json
+import re
 import time
 from collections import Counter
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from handsight import checks, se3
 from handsight.batch.run import LONGEST
-from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import (
-    DepthPoints,
     Outside,
     Plane,
     PosePrior,
@@ -27,10 +28,16 @@ from handsight.correction import (
     correct_pose,
 )
 from handsight.correction.problem import MOST_CONTACTS, check_number
-from handsight.errors import HandsightError, InvalidInput
+from handsight.errors import HandsightError, InvalidFile, InvalidInput
+from handsight.files import read_bytes
 from handsight.msgspec_errors import explain, field_name
 from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig.form import ShapeForm
+
+MAX_TOUCHES = 1 << 24
+"""Bytes of a file of touches."""
+Fields = TypeVar("Fields", bound=msgspec.Struct)
+Degrees = Annotated[float, Meta(gt=0, le=180)]
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
@@ -41,7 +48,7 @@ class ContactFields(_Strict):
     point: Any
     normal: Any = None
     sigma_point: Any = None
-    sigma_normal_deg: Any = None
+    sigma_normal_deg: Degrees | None = None
     covariance: Any = None
     group: Any = -1
 
@@ -50,8 +57,17 @@ class VisionFields(_Strict):
     position: Any
     quaternion_xyzw: Any
     sigma_position: Any = None
-    sigma_rotation_deg: Any = None
+    sigma_rotation_deg: Degrees | None = None
     covariance: Any = None
+
+
+class TouchFields(_Strict):
+    """A line of touches of an object whose model has no scale; `object` may stand there, and is not used."""
+
+    contacts: list[ContactFields]
+    object: Any = None
+    shared_covariance: Any = None
+    vision: VisionFields | None = None
 
 
 class PlaneFields(_Strict):
@@ -67,11 +83,6 @@ class WeightFields(_Strict):
     covariance: Any = None
 
 
-class DepthFields(_Strict):
-    points_palm: Any
-    sigma: Any
-
-
 class SkinFields(_Strict):
     sigmas: Any
     contacts: list[ContactFields] = []
@@ -79,29 +90,33 @@ class SkinFields(_Strict):
 
 
 class ProblemFields(_Strict):
-    """A `ProblemFields` is the content of a line; `handsight correct --help` explains each key."""
+    """The content of a line; `handsight correct --help` explains each key."""
 
     object: ShapeForm
     contacts: list[ContactFields]
-    contacts_of_residual: bool = False
     shared_covariance: Any = None
     vision: VisionFields | None = None
     outside: Any = None
     planes: list[PlaneFields] = []
     weight: WeightFields | None = None
-    depth: DepthFields | None = None
     skin: SkinFields | None = None
-    answer: str = "best"
-    samples: Any = 0
-    budget: Any = None
     method: str = "handsight"
 
+
+GONE = {
+    "answer": "use `position` of the answer, the mean where a mode is not Gaussian, or `maximum`",
+    "samples": "use the answer's `covariance`, which is integrated",
+    "budget": "stop the program that answers instead",
+    "depth": "use `vision`, the pose that was found in the same image",
+    "contacts_of_residual": "use `covariance` of each contact, without the errors of the model's surface",
+}
+"""Keys of a line that are refused, and what to use instead."""
 
 CONFLICT_KEYS = ("evidence", "against", "chi2", "freedom", "p_value", "excluded")
 
 
 class Problem(NamedTuple):
-    """A `Problem` holds the arguments of `correct_pose`."""
+    """The arguments of `correct_pose`."""
 
     model: ObjectModel
     contacts: Contacts
@@ -111,13 +126,12 @@ class Problem(NamedTuple):
 
 
 class Reader:
-    """A `Reader` converts lines of JSON to problems, and keeps the object models that it used last."""
+    """Conversion of lines of JSON to problems, which keeps the object models that were used last."""
 
     def __init__(self, folder: Path) -> None:
         """`folder`: relative paths of meshes start here."""
         self.folder = folder
-        self._models: dict[ObjectSpec, ObjectModel] = {}
-        """The one used last is at the end."""
+        self._model = lru_cache(maxsize=32)(ObjectSpec.model)
 
     def read(self, line: bytes) -> Problem:
         """Returns the problem of one line; raises a HandsightError that names the field."""
@@ -132,12 +146,8 @@ class Reader:
             planes.append(Plane(point, normal, checks.sigma(plane.sigma, f"planes[{i}].sigma")))
         if planes:
             outside = Outside(() if outside is None else outside, planes)
-        shared, of_residual = fields.shared_covariance, fields.contacts_of_residual
-        contacts = _contacts(fields.contacts, shared, of_residual=of_residual)
-        options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
-        options |= {"outside": outside, "weight": _weight(fields.weight)}
-        if (depth := fields.depth) is not None:
-            options["depth"] = DepthPoints(depth.points_palm, depth.sigma)
+        contacts = _contacts(fields.contacts, fields.shared_covariance)
+        options = {"outside": outside, "weight": _weight(fields.weight), "method": fields.method}
         if (skin := fields.skin) is not None:
             pressed = _contacts(skin.contacts) if skin.contacts else None
             options["skin"] = SkinEvidence(pressed, skin.untouched_palm, skin.sigmas)
@@ -145,17 +155,12 @@ class Reader:
 
     def model(self, form: ShapeForm) -> ObjectModel:
         """Returns the object model, built once for lines that name the same object."""
-        spec, max_kept = form.entry(self.folder), 32
-        if (model := self._models.pop(spec, None)) is None:
-            try:
-                model = spec.model()
-            except HandsightError as error:
-                kind = next(iter(form.given()))
-                raise InvalidInput(f"object.{kind}: {str(error).removeprefix('name: ')}") from None
-        self._models[spec] = model
-        if len(self._models) > max_kept:
-            del self._models[next(iter(self._models))]
-        return model
+        spec = form.entry(self.folder)
+        try:
+            return self._model(spec)
+        except HandsightError as error:
+            kind = next(iter(form.given()))
+            raise InvalidInput(f"object.{kind}: {str(error).removeprefix('name: ')}") from None
 
 
 def answer(problem: Problem) -> dict[str, Any]:
@@ -166,6 +171,7 @@ def answer(problem: Problem) -> dict[str, Any]:
     normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
     return {
         **se3.position_quaternion(estimate.T_palm_object),
+        "maximum": se3.position_quaternion(estimate.T_palm_object_maximum),
         "covariance": estimate.covariance,
         "information": estimate.information,
         "converged": estimate.converged,
@@ -199,27 +205,66 @@ def answer_text(reader: Reader, line: bytes) -> str:
     return json.dumps({"error": message})
 
 
+def read_touches(path: Path) -> tuple[Contacts, PosePrior | None]:
+    """Returns the touches in a file, and roughly the object's pose where it has that; all in one frame.
+
+    The file has one line, with contacts as a problem has them, or a contact a line, as `handsight contact` writes it.
+    Raises InvalidFile, which names the field.
+    """
+    lines = [line for line in read_bytes(path, MAX_TOUCHES, str(path)).splitlines() if line.strip()]
+    try:
+        fields = _touches(lines)
+        return _contacts(fields.contacts, fields.shared_covariance), _vision(fields.vision)
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+
+
+def _touches(lines: list[bytes]) -> TouchFields:
+    """Returns the fields of the only line, or of all lines that are contacts; raises InvalidInput."""
+    if not lines:
+        raise InvalidInput("line: expected contacts, got no line")
+    rows = [_decoded(line) for line in lines]
+    if "contacts" in rows[0]:
+        if len(rows) > 1:
+            raise InvalidInput(f"line: expected one, as all touches are of one grasp, got {len(rows)}")
+        return _converted(rows[0], TouchFields)
+    touched = [row for row in rows if row.get("reason", "contact") == "contact"]
+    known = ContactFields.__struct_fields__
+    contacts = [{key: row[key] for key in known if key in row} for row in touched]
+    return _converted({"contacts": contacts}, TouchFields)
+
+
 def _fields(line: bytes) -> ProblemFields:
     """Returns the fields of a line, with unchecked numbers; raises InvalidInput."""
+    raw = _decoded(line)
+    for key, instead in GONE.items():
+        if key in raw:
+            raise InvalidInput(f"{key}: expected no such key, which was removed ({instead}), got it")
+    return _converted(raw, ProblemFields)
+
+
+def _decoded(line: bytes) -> dict[str, Any]:
+    """Returns the object of a line of JSON; raises InvalidInput."""
     if len(line) > LONGEST:
         raise InvalidInput(f"line: expected at most {LONGEST} bytes, got more")
     # Python's parser, as it accepts NaN and Infinity: a later check then names their field.
     try:
         raw = json.loads(line.decode("utf-8"), object_pairs_hook=_unique)
-    except UnicodeDecodeError:
-        raise InvalidInput("line: expected JSON in UTF-8, got other bytes") from None
-    except json.JSONDecodeError as error:
-        raise InvalidInput(f"line: expected JSON, got {error.msg} at character {error.pos}") from None
     except InvalidInput:
         raise
     except (RecursionError, ValueError) as error:
-        raise InvalidInput(f"line: expected a problem, got JSON that cannot be read ({error})") from None
+        raise InvalidInput(f"line: expected JSON in UTF-8, got other text ({error})") from None
     if not isinstance(raw, dict):
         raise InvalidInput(f"line: expected an object {{...}}, got {checks.brief(raw)}")
+    return raw
+
+
+def _converted(raw: dict[str, Any], form: type[Fields]) -> Fields:
+    """Returns the fields of a JSON object, with unchecked numbers; raises InvalidInput."""
     try:
-        return msgspec.convert(raw, ProblemFields)
-    except msgspec.ValidationError as error:
-        field, message = explain(error, ProblemFields, raw)
+        return msgspec.convert(raw, form)
+    except msgspec.ValidationError:
+        field, message = explain(form, raw)
         raise InvalidInput(f"{field_name(field)}: {message}") from None
     except UnicodeEncodeError as error:
         raise InvalidInput(f"line: expected text, got half a character in {error.object[:40]!r}") from None
@@ -229,40 +274,47 @@ def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """Returns a JSON object as a dictionary; raises InvalidInput for a repeated key."""
     unique = dict(pairs)
     if len(unique) < len(pairs):
-        twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        counts = Counter(key for key, _ in pairs)
+        twice, _ = counts.most_common(1)[0]
         raise InvalidInput(f"{twice}: expected once, got it twice in one object")
     return unique
 
 
-def _contacts(rows: list[ContactFields], shared: Any = None, *, of_residual: bool = False) -> Contacts:
-    if not rows:
-        raise InvalidInput("contacts: expected at least one contact, got none")
-    n = len(rows)
-    check_number(n, MOST_CONTACTS, "contacts", "contacts")
-    points, covariance = np.empty((n, 3)), np.zeros((n, 6, 6))
-    normals: list[Array | None] = []
+def _contacts(rows: list[ContactFields], shared: Any = None) -> Contacts:
+    check_number(len(rows), MOST_CONTACTS, "contacts", "contacts")
+    points = [row.point for row in rows]
+    normals = list[Any]()
+    covariances = list[Any]()
     for i, row in enumerate(rows):
         name = f"contacts[{i}]"
-        points[i] = checks.in_reach(row.point, f"{name}.point", (3,))
         normals.append(None if row.normal is None else checks.unit(row.normal, f"{name}.normal", (3,)))
-        if row.covariance is not None:
-            if row.sigma_point is not None or row.sigma_normal_deg is not None:
-                raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
-            covariance[i] = checks.covariance(row.covariance, f"{name}.covariance", (6, 6))
-            continue
-        sigma_point, sigma_normal = 1e-3, 0.1
+        covariances.append(_covariance(row, name))
+    groups = [row.group for row in rows]
+    group = None if shared is None and all(g == -1 for g in groups) else groups
+    try:
+        return Contacts(points, normals, covariance=covariances, group=group, shared_covariance=shared)
+    except InvalidInput as error:
+        # Its arguments have other names than a line's keys.
+        message = str(error).removeprefix("points_palm: ")
+        message = re.sub(r"^points_palm(\[\d+\])", r"\1.point", message)
+        message = re.sub(r"^covariance(\[\d+\])", r"\1.covariance", message)
+        between = "" if message.startswith("[") else ": "
+        raise InvalidInput(f"contacts{between}{message}") from None
+
+
+def _covariance(row: ContactFields, name: str) -> Any:
+    """Returns a contact's covariance (6, 6), not yet checked if it was given; raises InvalidInput."""
+    if row.covariance is None:
+        sigma_point = 1e-3
+        sigma_normal = 0.1
         if row.sigma_point is not None:
             sigma_point = checks.sigma_point(row.sigma_point, f"{name}.sigma_point")
         if row.sigma_normal_deg is not None:
-            sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg", np.pi)
-        covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
-    groups = [row.group for row in rows]
-    group = None if shared is None and all(g == -1 for g in groups) else groups
-    noise: dict[str, Any] = {"covariance": covariance, "of_residual": of_residual}
-    try:
-        return Contacts(points, normals, **noise, group=group, shared_covariance=shared)
-    except InvalidInput as error:
-        raise InvalidInput(f"contacts: {error}") from None
+            sigma_normal = float(np.deg2rad(row.sigma_normal_deg))
+        return np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
+    if row.sigma_point is not None or row.sigma_normal_deg is not None:
+        raise InvalidInput(f"{name}: expected sigmas or a covariance, got both")
+    return row.covariance
 
 
 def _vision(fields: VisionFields | None) -> PosePrior | None:
@@ -274,36 +326,28 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     if abs(length - 1) > 0.02:  # more than rounding to two digits: other numbers, or in another order
         raise InvalidInput(f"vision.quaternion_xyzw: expected a length of 1, got {length:.4g}")
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
-    given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
-    if (fields.covariance is not None) == any(given):
+    given = _given(fields, "sigma_position", "sigma_rotation_deg", "covariance")
+    if given == ["covariance"]:
+        return PosePrior(T, fields.covariance)
+    if given != ["sigma_position", "sigma_rotation_deg"]:
         expected = "expected sigma_position and sigma_rotation_deg or a covariance"
-        raise InvalidInput(f"vision: {expected}, got {'both' if any(given) else 'neither'}")
-    if fields.covariance is not None:
-        return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
-    for field in ("sigma_position", "sigma_rotation_deg"):
-        if getattr(fields, field) is None:
-            raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
-    shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
-    turn = _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", np.pi)
-    return PosePrior.from_sigmas(T, shift, turn)
+        raise InvalidInput(f"vision: {expected}, got {', '.join(given) or 'neither'}")
+    sigma_position = checks.sigma(fields.sigma_position, "vision.sigma_position")
+    return PosePrior.from_sigmas(T, sigma_position, float(np.deg2rad(fields.sigma_rotation_deg or 0.0)))
 
 
 def _weight(fields: WeightFields | None) -> WeightEvidence | None:
     if fields is None:
         return None
-    if (fields.sigma is None) == (fields.covariance is None):
-        came = "neither" if fields.sigma is None else "both"
-        raise InvalidInput(f"weight: expected a sigma or a covariance, got {came}")
+    given = _given(fields, "sigma", "covariance")
+    if len(given) != 1:
+        raise InvalidInput(f"weight: expected a sigma or a covariance, got {', '.join(given) or 'neither'}")
     covariance = fields.covariance
     if fields.sigma is not None:
         covariance = checks.sigma(fields.sigma, "weight.sigma") ** 2 * np.eye(3)
     return WeightEvidence(fields.center_object, fields.center_palm, covariance)
 
 
-def _radians(degrees: float, name: str, most: float) -> float:
-    """Returns a standard deviation in radians from degrees, checked to be at most `most` [rad]; raises InvalidInput."""
-    radians = float(np.deg2rad(checks.positive(degrees, name)))
-    if not checks.MIN_SIGMA <= radians <= most:
-        lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])
-        raise InvalidInput(f"{name}: expected degrees from {lowest:.1g} to {highest:.3g}, got {degrees:g}")
-    return radians
+def _given(fields: _Strict, *names: str) -> list[str]:
+    """Returns those of the keys that are not null."""
+    return [name for name in names if getattr(fields, name) is not None]

@@ -4,12 +4,13 @@ The DDS types of the messages describe every field to other participants, but ca
 """
 
 import os
+import re
 import time
 from collections.abc import Callable, Mapping
 from functools import cache
 from operator import itemgetter
 from types import new_class
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from cyclonedds import idl
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -22,15 +23,18 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from handsight import checks
-from handsight._deprecated import renamed_members
 from handsight.errors import InvalidInput
 from handsight.live import LiveTracker
 from handsight.live.answers import Answer
-from handsight.live.node import PublishedTypes, queue_lengths, time_to_wait
+from handsight.live.node import queue_lengths, time_to_wait
 from handsight.messages import RawMessage
-from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.topics import OwnTopic
+from handsight.messages.decode import defined, rosbags_module, typestore
+from handsight.messages.topics import MessageRejected, OwnTopic
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+LARGEST_DOMAIN = 232
 MAX_TAKEN = 100  # number of messages that are taken from DDS in one call
 FAST_DDS_3 = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 """Turns type comparison off with Fast DDS 3 (ROS 2 Kilted), whose descriptions of equal types may differ."""
@@ -43,7 +47,7 @@ LOOPBACK = (
 
 
 class Sample:
-    """A `Sample` is a serialised message that a reader takes or a writer writes; it is not decoded."""
+    """A serialised message that a reader takes or a writer writes; it is not decoded."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -68,23 +72,30 @@ def dds_name(kind: str) -> str:
 
 def ros_name(dds: str) -> str:
     """Returns `package/msg/Name` for the DDS name of a ROS 2 type; any other name is returned unchanged."""
-    parts = dds.split("::")
-    if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
-        return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
-    return dds
+    named = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", dds)
+    return dds if named is None else "/".join(named.groups())
 
 
 @cache
-def message_type(kind: str) -> Any:
+def message_type(kind: str, definition: str = "") -> Any:
     """Returns the DDS class for messages of the ROS 2 type `package/msg/Name`.
 
     Its fields only describe the type to other participants, which may compare it with their own before they connect.
-    Raises InvalidInput, MissingExtra.
+    `definition`: of a type that is none of ROS'. Raises InvalidInput, MissingExtra.
     """
-    known = typestore("cdr").fielddefs
-    if kind not in known:
+    try:
+        store = defined("cdr", kind, definition) if definition else typestore("cdr")
+    except MessageRejected as error:
+        raise InvalidInput(str(error)) from None
+    if kind not in store.fielddefs:
         raise InvalidInput(f"expected a message of ROS 2 that is known here, got {kind}")
-    fields = {name: _field(node) for name, node in known[kind][1]}
+    return _type(kind, store)
+
+
+@cache
+def _type(kind: str, store: "Typestore") -> Any:
+    """Returns the DDS class of a type that the store has."""
+    fields = {name: _field(node, store) for name, node in store.fielddefs[kind][1]}
 
     def fill(namespace: dict[str, Any]) -> None:
         namespace.setdefault("__annotations__", {}).update(fields)
@@ -96,27 +107,27 @@ def message_type(kind: str) -> Any:
     return new_class(name, (idl.IdlStruct,), {"typename": dds_name(kind).replace("::", ".")}, fill)
 
 
-def _field(node: Any) -> Any:
+def _field(node: Any, store: "Typestore") -> Any:
     """Returns the DDS type of a field, from the description in rosbags."""
     nodes = rosbags_module("rosbags.interfaces").Nodetype
     kind, what = node
     if kind == nodes.NAME:
-        return message_type(what)
+        return _type(what, store)
     if kind == nodes.BASE:
         own = {"bool": bool, "string": str, "octet": types.byte, "byte": types.byte, "char": types.uint8}
         return own.get(what[0]) or getattr(types, what[0])
     element, count = what
     if kind == nodes.ARRAY:
-        return types.array[_field(element), count]
-    return types.sequence[_field(element), count] if count else types.sequence[_field(element)]
+        return types.array[_field(element, store), count]
+    return types.sequence[_field(element, store), count] if count else types.sequence[_field(element, store)]
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
     """Returns ROS_DOMAIN_ID, or 0 if it is not set; raises InvalidInput."""
-    declared, largest = environment.get("ROS_DOMAIN_ID", "").strip() or "0", 232
-    if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= largest):
+    declared = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if declared not in map(str, range(LARGEST_DOMAIN + 1)):
         came = checks.brief(repr(declared))
-        raise InvalidInput(f"ROS_DOMAIN_ID: expected a number from 0 to {largest}, got {came}")
+        raise InvalidInput(f"ROS_DOMAIN_ID: expected a number from 0 to {LARGEST_DOMAIN}, got {came}")
     return int(declared)
 
 
@@ -132,11 +143,12 @@ def configuration(environment: Mapping[str, str]) -> str:
 
 
 class Network:
-    """A `Network` is a participant in a DDS domain; a process can have one for each domain."""
+    """A participant in a DDS domain; a process can have one for each domain."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         """Joins the domain; raises InvalidInput where its number or the configuration does not allow that."""
-        number, config = domain_id(environment), configuration(environment)
+        number = domain_id(environment)
+        config = configuration(environment)
         try:
             self._domain: Any = Domain(number, config)
             self.participant: Any = DomainParticipant(number)
@@ -150,14 +162,16 @@ def carried(topic: str) -> str:
     return f"rt/{topic.lstrip('/')}"
 
 
-@renamed_members(look="check_network")
 class Bridge:
-    """A `Bridge` receives the messages for a live tracker, and publishes its answers."""
+    """Messages of DDS for a live tracker, and its answers."""
 
     def __init__(self, live: LiveTracker, network: Network, say: Callable[[str], None]) -> None:
         """`say`: called with a sentence when something cannot be published, once per topic. Raises InvalidInput."""
-        self._live, self._network, self._say = live, network, say
-        self._types, self._mute = PublishedTypes(live), set[str]()
+        self._live = live
+        self._network = network
+        self._say = say
+        self._definitions = live.definitions
+        self._mute = set[str]()
         self._received = time.monotonic()
         max_blocking = 10_000_000  # how long a slow subscriber may block an answer [ns]
         reliable = Policy.Reliability.Reliable(max_blocking)
@@ -180,7 +194,7 @@ class Bridge:
         for topic, kinds in live.subscriptions.items():
             quality = lasting if topic.endswith("/tf_static") else passing
             for kind in kinds:
-                if kind in known:  # not a type of ROS 1
+                if kind in known or kind in self._definitions:  # not a type of ROS 1
                     reader: Any = DataReader(network.participant, self._topic(topic, kind), qos=quality)
                     reader.set_status_mask(DDSStatus.DataAvailable)
                     self._filled.attach(reader)
@@ -194,9 +208,11 @@ class Bridge:
         callback in a thread of DDS would wait for that lock while holding one of DDS.
         """
         self._filled.wait(round(1e9 * time_to_wait(timeout, self._received)))
-        taken, now = list[tuple[int, RawMessage]](), time.time()
+        taken = list[tuple[int, RawMessage]]()
+        now = time.time()
         for topic, kind, reader in self._readers:
-            dds_type, samples = message_type(kind), [None] * MAX_TAKEN
+            dds_type = self._type(kind)
+            samples = [None] * MAX_TAKEN
             while len(samples) == MAX_TAKEN:
                 samples = reader.take(MAX_TAKEN)
                 taken += [
@@ -225,7 +241,12 @@ class Bridge:
         for each in self._published.take(MAX_TAKEN):
             name = getattr(each, "topic_name", "") or ""
             if name.startswith("rt/"):
-                self._types.on_topic(name[2:], ros_name(each.type_name))
+                self._live.published(name[2:], ros_name(each.type_name))
 
     def _topic(self, topic: str, kind: str) -> Topic:
-        return Topic(self._network.participant, carried(topic), message_type(kind))
+        return Topic(self._network.participant, carried(topic), self._type(kind))
+
+    def _type(self, kind: str) -> Any:
+        """Returns the DDS class of a type, by the rig's definition where ROS has none."""
+        known = typestore("cdr").fielddefs
+        return message_type(kind, "" if kind in known else self._definitions.get(kind, ""))

@@ -11,7 +11,7 @@ from handsight.cli.terminal import announce_compiling, say
 
 
 class WithColumns(TyperCommand):
-    """A `WithColumns` is a command whose help ends with the columns of its tables, in their own layout."""
+    """A command whose help ends with the columns of its tables, in their own layout."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Prints the help."""

@@ -15,7 +15,7 @@ from typer import Argument, Option
 from handsight.cli import terminal
 from handsight.cli.terminal import announce_compiling
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import check_not_overwritten, stream_name, write_errors
+from handsight.files import stream_name
 
 if TYPE_CHECKING:
     from handsight.batch.problems import Problem
@@ -73,27 +73,19 @@ def correct(
       0.1 rad); or give `covariance`, 6x6 of point and normal. Up to 20 000, a third of which may be wrong. With
       `"group": 0`, 1, ... contacts of one link share the error of its place.
     * **shared_covariance**: of a group's shift and turn about its contacts' centroid, 6x6, or one for each group.
-    * **contacts_of_residual**: `true` if the sigmas are those of the residuals between contacts and model, as measured
-      at known poses. By default they are the sensor's, and the model's own error is added.
     * **vision** (optional): a pose with sigmas per axis, or with `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **planes**: `[{"point": [x, y, z], "normal": [x, y, z], "sigma": 0.003}]`, which the object cannot cross; the
       normal points to the object's side.
     * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
       mass is, in the object's and in the palm's frame; or `"covariance"`, 3x3.
-    * **depth**: `points_palm`, up to 48 points of a depth image that are on the object, and their common `sigma` [m].
     * **skin**: of tactile arrays, `contacts`, the pressed taxels; `untouched_palm`, points above the other taxels; and
       `sigmas`, six standard deviations of the pose of an entire array [m, rad].
-    * **answer**: `maximum` or `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
-      bound a slide but do not fix it, else the maximum.
-    * **samples**: above 0, the answer is the mean of this many samples of the posterior instead (at most 1000000), as a
-      slow check.
-    * **budget**: seconds after which the search for better poses and wrong contacts stops; "converged" is false if it
-      stopped early.
     * **method**: `handsight` (default), or one of the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`,
       `paper-gd-distance`.
 
-    Each answer has the pose, its covariance and information, the residuals, the directions that are unobservable by
+    Each answer has the pose, which is the mean where contacts bound a slide but do not fix it, the `maximum` of the
+    density, the pose's covariance and information, the residuals, the directions that are unobservable by
     touch, the outliers among the contacts, the conflicts (which evidence contradicts the rest), and other hypotheses. A
     wrong line is answered with `{"error": ...}` in its place, and the exit code is then 1; it is 2 if problems cannot
     be read, and 74 if answers cannot be written: those until then are in OUTPUT.part, but a shell's `> FILE` is cut
@@ -110,32 +102,28 @@ def correct(
     if workers is not None and cluster is not None:
         raise InvalidInput("--workers: expected without --cluster, which has its own workers, got both")
     from handsight.batch.run import answering
+    from handsight.tracking import warm
 
     workers = 1 if workers is None else workers
     folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
     done = failed = 0
     first = list[tuple[bytes, str]]()  # lines and their answers, for the picture
     try:
-        if workers == 1 and cluster is None:
+        if cluster is None:
             announce_compiling()
+            if workers != 1:
+                warm.correct_near()  # kernels are compiled once, before the workers look for them
         given = sys.stdin if problems == "-" else problems
-        place = sys.stdout if output is None or str(output) == "-" else output
-        check_not_overwritten(place, "the answers", given, "the problems")
-        check_not_overwritten(plot, "the picture", given, "the problems")
-        check_not_overwritten(plot, "the picture", place, "the answers")
-        if place is output:
-            check_not_overwritten(terminal.part_of(output), "the first answers", given, "the problems")
-        name = output if place is output else stream_name(place)
-        terminal.check_plots(plot)
+        terminal.check_outputs(output, plot, given)
         source = _open(problems)
         size = os.fstat(source.fileno()).st_size  # 0 for a pipe
-        single, started, read = problems.endswith(".json"), time.monotonic(), 0
-        run = answering(
-            source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling
-        )
+        single = problems.endswith(".json")
+        started = time.monotonic()
+        read = 0
+        run = answering(source, folder, single=single, workers=workers, cluster=cluster)
         with (
             run as answered,
-            terminal.output_stream(output) as sink,
+            terminal.output_lines(output) as write,
             terminal.bar("correcting", show=output is not None) as move,
         ):
             for lines, answers in answered:
@@ -143,11 +131,9 @@ def correct(
                     terminal.warn(warning)
                 pairs = zip(lines, answers.texts, strict=True)
                 good = [pair for pair in pairs if not pair[1].startswith('{"error"')]
-                with write_errors(name):
-                    sink.write("".join(f"{text}\n" for text in answers.texts))
-                    # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
-                    done, failed = done + len(lines), failed + len(lines) - len(good)
-                    sink.flush()
+                write(answers.texts)
+                done += len(lines)
+                failed += len(lines) - len(good)
                 first += good[: MOST_PANELS - len(first)]
                 read += sum(len(line) + 1 for line in lines)
                 rate = done / (time.monotonic() - started)
@@ -156,8 +142,7 @@ def correct(
             from handsight.batch.problems import Reader
 
             reader = Reader(folder)
-            draw(((reader.read(line), json.loads(text)) for line, text in first), plot)
-            terminal.say(f"wrote {plot}")
+            terminal.say(draw(((reader.read(line), json.loads(text)) for line, text in first), plot))
     except KeyboardInterrupt:
         terminal.say(f"handsight: stopped after {done} answers; they are written")
         raise typer.Exit(terminal.INTERRUPTED) from None
@@ -176,7 +161,8 @@ def _open(problems: str) -> "Source":
         # Stdin is opened again, as the reading thread must not hold Python's own when the program ends.
         place = sys.stdin.fileno() if problems == "-" else problems
         source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
-        found, nothing = os.fstat(source.fileno()), os.stat(os.devnull)
+        found = os.fstat(source.fileno())
+        nothing = os.stat(os.devnull)
     except OSError as error:
         raise InvalidFile(f"{name}: {error.strerror or error}") from None
     if stat.S_ISCHR(found.st_mode) and not source.isatty() and found.st_rdev != nothing.st_rdev:
@@ -185,9 +171,10 @@ def _open(problems: str) -> "Source":
     return source
 
 
-def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
-    """Writes a picture of problems and their answers."""
+def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> str:
+    """Writes a picture of problems and their answers, and returns a sentence that names it."""
     from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
     panels = [CorrectionPanel(of.model, of.contacts, of.vision, answer) for of, answer in answered]
     draw_corrections(panels, plot)
+    return f"wrote {plot}"

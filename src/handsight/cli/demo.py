@@ -3,10 +3,10 @@
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import typer
@@ -14,12 +14,13 @@ from typer import Option
 
 from handsight.cli.correct import draw as draw_corrections
 from handsight.cli.options import Run
-from handsight.cli.terminal import announce_compiling, live_rows, say, table
+from handsight.cli.terminal import announce_compiling, bar, millimetres, table
 from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from handsight.batch.problems import Problem
-    from handsight.cli.track import TrackResult
     from handsight.evaluation import CorrectionErrors
     from handsight.recording.detections import Located
     from handsight.recording.frames import Frame
@@ -53,53 +54,26 @@ def demo(
     announce_compiling()
     out = Console(width=None if sys.stdout.isatty() else 110, markup=False, highlight=False)
     found = list(examples())
-    rows = [
-        (
-            row.name,
-            f"{1e3 * row.vision.shift:.1f} → {1e3 * row.corrected.shift:.1f} mm",
-            f"{1e3 * row.vision.shift_observable:.1f} → {1e3 * row.corrected.shift_observable:.1f} mm",
-            f"{math.degrees(row.vision.turn):.1f} → {math.degrees(row.corrected.turn):.1f}°",
-            f"{1e3 * row.vision.gap:.1f} → {1e3 * row.corrected.gap:.2f} mm",
-            f"{len(row.answer['unobservable'])} of 6",
-        )
-        for row in found
-    ]
-    columns = ("object", "position", "of it, by touch", "rotation", "contacts off the surface", "open")
-    title = "Error against the truth, vision → corrected (synthetic example)"
-    out.print(table(columns, rows, title=title))
+    out.print(error_table(found))
     out.print(
         "open: directions that these contacts do not determine (a can slides along its axis and turns about it);\n"
         "there the answer is vision's, and the estimate says so."
     )
-    try:
-        draw_corrections([(row.problem, row.answer) for row in found], plot)
-        out.print(f"wrote {plot}")
-    except MissingExtra as error:
-        out.print(f"no picture: {error}")
-    try:
-        out.print(find_can(plot.with_name(f"{plot.stem}-picture{plot.suffix}")))
-    except MissingExtra as error:
-        out.print(f"no image searched: {error}")
-    tracks = []
-    try:
-        for name in NAMES:
-            result, sentence = replayed(name, plot.with_name(f"{plot.stem}-{name}{plot.suffix}"))
-            out.print(sentence)
-            vision, tracked = (result.errors[which].summary() for which in ("vision", "tracked"))
-            errors = vision["base_mean"], tracked["base_mean"], tracked["base_last"]
-            faster = f"{result.tally.recorded / result.tally.wall:.0f}x"
-            texts = (*(f"{mm:.1f} mm" for mm in errors), str(result.tracker.corrections), faster)
-            tracks.append((result.name, *texts))
-    except MissingExtra as error:
-        out.print(f"no recordings replayed: {error}")
-        return
-    columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
-    title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
-    out.print(table(columns, tracks, title=title))
+    parts: dict[str, Callable[[], Iterable[str | Table]]] = {
+        "no picture": lambda: [draw_corrections([(row.problem, row.answer) for row in found], plot)],
+        "no image searched": lambda: find_can(plot.with_name(f"{plot.stem}-picture{plot.suffix}")),
+        "no recordings replayed": lambda: replays(plot),
+    }
+    for lacking, part in parts.items():
+        try:
+            for shown in part():
+                out.print(shown)
+        except MissingExtra as error:
+            out.print(f"{lacking}: {error}")
 
 
 class Comparison(NamedTuple):
-    """A `Comparison` has the errors of an example's poses against the truth."""
+    """The errors of an example's poses against the truth."""
 
     name: str
     problem: "Problem"
@@ -127,32 +101,52 @@ def examples() -> Iterator[Comparison]:
             for pose in (json.loads(truth), json.loads(line)["vision"], answered)
         )
         unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
-        given = T_true, problem.contacts.points_palm, unobservable
-        vision, corrected = (correction_errors(problem.model, T, *given) for T in (T_vision, T_corrected))
+        vision, corrected = (
+            correction_errors(problem.model, T, T_true, unobservable) for T in (T_vision, T_corrected)
+        )
         yield Comparison(name, problem, answered, vision, corrected)
 
 
-def find_can(plot: Path) -> str:
-    """Returns sentences about how well the can is located in the built-in image, and draws it; raises MissingExtra."""
+def error_table(found: Iterable[Comparison]) -> "Table":
+    """Returns the errors of vision's and of the corrected poses as a table."""
+    rows = []
+    for row in found:
+        before = row.vision
+        after = row.corrected
+        rows.append(
+            (
+                row.name,
+                f"{millimetres(before.shift)} → {millimetres(after.shift)} mm",
+                f"{millimetres(before.shift_observable)} → {millimetres(after.shift_observable)} mm",
+                f"{math.degrees(before.turn):.1f} → {math.degrees(after.turn):.1f}°",
+                f"{len(row.answer['unobservable'])} of 6",
+            )
+        )
+    columns = ("object", "position", "of it, by touch", "rotation", "open")
+    return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
+
+
+def find_can(plot: Path) -> Iterator[str]:
+    """Yields how well the can is located in the built-in image, and draws it; raises MissingExtra."""
     from handsight import se3
     from handsight.cli.locate import draw, locator
     from handsight.rig import Rig
     from handsight.vision.depth_noise import STRUCTURED_LIGHT
 
-    rig, known = Rig.from_file(DATA / "can.rig.yaml"), json.loads((DATA / "can.picture.json").read_bytes())
+    rig = Rig.from_file(DATA / "can.rig.yaml")
+    known = json.loads((DATA / "can.picture.json").read_bytes())
     model = replace(rig.objects["can"].model(), name="can")
     row = cast("Located", locator({model.name: model}, STRUCTURED_LIGHT)(picture(rig, known)))
     if row.reason is not None:
-        return f"can in an image (synthetic): not found: {row.reason}"
-    T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])
-    off = 1e3 * math.dist(T[:3, 3], T_true[:3, 3])
+        yield f"can in an image (synthetic): not found: {row.reason}"
+        return
+    T = row.found.Ts_camera_object[0]
+    T_true = se3.from_position_quaternion(**known["truth"])
+    off = millimetres(math.dist(T[:3, 3], T_true[:3, 3]))
     tilt = math.degrees(math.acos(min(1.0, abs(float(T[:3, 2] @ T_true[:3, 2])))))
-    found = f"centre off by {off:.1f} mm, axis by {tilt:.1f}°, in {1e3 * row.seconds:.0f} ms"
-    text = f"can found in an image with the hand in front of it, without a guess (synthetic): {found}"
-    try:
-        return f"{text}\n{draw([row], plot)}"
-    except MissingExtra as error:
-        return f"{text}\nno picture: {error}"
+    found = f"centre off by {off} mm, axis by {tilt:.1f}°, in {1000 * row.seconds:.0f} ms"
+    yield f"can found in an image with the hand in front of it, without a guess (synthetic): {found}"
+    yield draw([row], plot)
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
@@ -165,29 +159,31 @@ def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
 
     camera = read_camera(DATA / "can.camera.json")
     depth = read_depth(DATA / "can.depth.png", camera=camera)
-    shape, T_camera_palm = rig.hand.shape(), se3.from_position_quaternion(**known["T_camera_palm"])
+    shape = rig.hand.shape()
+    T_camera_palm = se3.from_position_quaternion(**known["T_camera_palm"])
     vertices = shape.vertices_palm(known["joint_positions"])
     hand = hand_mask(camera, np.nan_to_num(depth), vertices, shape.faces, T_camera_palm)
     color = read_color(DATA / "can.color.jpg", camera=camera)
     return Frame(name="can.depth.png", camera=camera, depth=depth, color=color, hand=hand)
 
 
-def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
-    """Returns the result of tracking a built-in recording, and a sentence about its picture.
+def replays(plot: Path) -> Iterator[str]:
+    """Tracks the built-in recordings, and yields what `handsight track` says of each; raises MissingExtra.
 
-    Raises MissingExtra; ends the command if tracking ends early.
+    It ends the command if tracking ends early.
     """
     from handsight.cli.track import draw, progress, tracked
+    from handsight.recording.track_log import TrackLog
     from handsight.rig import Rig
     from handsight.tracking import TrackerSettings
 
-    rig = Rig.from_file(DATA / f"{name}.rig.yaml")
-    run = Run(DATA / f"{name}.mcap", rig, rig.objects[name].model(), TrackerSettings(outside=500))
-    with live_rows(f"{name}.mcap", progress) as watch, TemporaryDirectory() as folder:
-        result, log = tracked(run, watch, Path(folder))
-        log.close(resumable=False)
-    for end in result.ends:
-        if end.message:
-            say(end.message)
-        raise typer.Exit(end.exit_code)
-    return result, draw(result, run.model, plot)
+    for name in NAMES:
+        rig = Rig.from_file(DATA / f"{name}.rig.yaml")
+        run = Run(DATA / f"{name}.mcap", rig, rig.objects[name].model(), TrackerSettings(outside=500))
+        with bar(f"{name}.mcap") as move, TrackLog() as log:
+            result = tracked(run, partial(progress, move), log)
+        yield f"{name}.mcap, replayed (synthetic):"
+        yield from result.sentences()
+        if result.exit_code:
+            raise typer.Exit(result.exit_code)
+        yield draw(result, run.model, plot.with_name(f"{plot.stem}-{name}{plot.suffix}"))

@@ -5,24 +5,21 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from handsight.cli import terminal
-from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
-from handsight.cli.terminal import announce_compiling
+from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig, refuse
+from handsight.cli.terminal import announce_compiling, millimetres
 from handsight.errors import HandsightError, InvalidInput, NotWritten
-from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
     from handsight.recording.detections import Located, LocatedAll
     from handsight.recording.frames import Frame, Frames, Unread
-    from handsight.rig import DepthCamera
     from handsight.vision import DepthNoise, ObjectDetection
 
     Row = Located | LocatedAll | Unread
@@ -31,8 +28,7 @@ MAX_INSTANCES = 100
 """Most instances of one object in an image."""
 MOST_PANELS = 6
 """Number of images in the picture."""
-COLUMNS = "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained", "weight", "others", "ms"
-"""Columns of the table, behind those of the image and of the object."""
+COLUMNS = "image", "object", "x, y, z in the camera [mm]", "± [mm]", "± [°]", "probability", "ms"
 MAX_MESSAGES = 5
 """Number of messages about unreadable images, and about images without the object."""
 
@@ -41,7 +37,7 @@ def locate(
     images: Annotated[
         Path,
         Argument(
-            help="A depth image (PNG of 16 bits), a folder of them, a BOP scene or split, or a recording.",
+            help="A depth image (PNG, TIFF, .npy, EXR), a folder of them, a BOP scene or split, or a recording.",
             show_default=False,
         ),
     ],
@@ -51,8 +47,8 @@ def locate(
             "--object",
             metavar="NAME|FILE[*N]",
             help="Name of an object of the library or, for a recording, of its rig; or a mesh file. Given several "
-            "times: find each that is there; not given: each of all in the rig or the library. NAME*2: at most two "
-            "such; 'NAME*': as many as there are.",
+            "times: find each that is there; not given: each of all in the rig or the library. `NAME*2`: at most two "
+            "such.",
         ),
     ] = None,
     which: Annotated[
@@ -78,12 +74,18 @@ def locate(
     ] = None,
     camera: Annotated[
         Path | None,
-        Option(help="File of the camera's intrinsics, as above. Default: camera.json beside the images."),
+        Option(help="File of the camera's intrinsics, as above. Default: the one beside the images."),
     ] = None,
-    color: Annotated[
-        Path | None, Option(help="Colour image with the pixels of the depth image, for the picture.")
+    depth_scale: Annotated[
+        float | None,
+        Option(
+            help="Metres per step of depth, such as 0.0002 for TUM's images. Default: floats are metres, whole "
+            "numbers in the unit that the camera's file states (depth_scale), else millimetres."
+        ),
     ] = None,
-    depth_scale: Annotated[float, Option(help="Metres per step of depth; 0.001 for millimetres.")] = 0.001,
+    resized: Annotated[
+        bool, Option("--resized", help="The images were scaled: scale the camera's intrinsics to their size.")
+    ] = False,
     box: Annotated[
         str | None,
         Option(metavar="U0,V0,U1,V1", help="Search between these columns and rows only [pixels]."),
@@ -98,50 +100,45 @@ def locate(
     detections: Annotated[
         Path | None,
         Option(
-            metavar="FILE",
-            help="Search only in the boxes and masks of a detector: JSON as CNOS writes it, by BOP's numbers of scene, "
-            "image, object. In a folder, the last number in an image's name is its number.",
+            help="Search only in the boxes and masks of a detector: JSON of CNOS, SAM-6D or COCO, or a folder of "
+            "YOLO's text.",
         ),
     ] = None,
     start: Annotated[
         Path | None,
         Option(
-            metavar="FILE",
-            help="Poses of another estimator, as BOP results (.csv): refined, compared with what is found without "
-            "them, and judged: `starts` in the answer says which are right.",
+            help="Poses of another estimator (BOP's .csv, JSON of SAM-6D or MegaPose, a folder of 4 x 4 numbers): "
+            "refined, and compared with what is found without them.",
         ),
     ] = None,
     targets: Annotated[
         Path | None,
         Option(
-            metavar="FILE",
             help="Which objects to find in which images of a BOP scene or split: test_targets_bop19.json.",
         ),
     ] = None,
     depth_camera: Annotated[
         str | None,
         Option(
-            metavar=DEPTH_CAMERAS,
-            help="How the camera measures depth. Default: structured_light; for a recording, as in the rig.",
+            metavar="KIND",
+            help=f"How the camera measures depth: {DEPTH_CAMERAS}. Default: structured_light; for a recording, as in "
+            "the rig.",
         ),
     ] = None,
     scale: Annotated[float, Option(help="Metres per unit of a mesh file; 0.001 for millimetres.")] = 1.0,
     library: LibraryPlace = None,
     rig: RigPath = None,
-    verbose: Annotated[
-        bool, Option("--verbose", "-v", help="Answer with all hypotheses, not only with the three likeliest.")
-    ] = False,
 ) -> None:
     """Locate objects in depth images, without a guess of their poses, or recognise which of several objects it is.
 
     Only depth is used. The table and, in a recording, the robot's hand are removed; the remaining points vote for
     poses.
 
-    * **One image or a folder of them**: PNGs of 16 bits, in millimetres or in the unit of `--depth-scale`, 0 where
-      depth is unknown. Their camera is in `camera.json`: `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width":
-      640, "height": 480}` [pixels], with `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a
-      folder, depth is in `depth/`, with colour under the same names in `rgb/` or `color/`; or all images are in the
-      folder itself, with "depth" in their names.
+    * **One image or a folder of them**: floats in metres, or whole numbers in millimetres or another unit, 0 where
+      depth is unknown. The camera's file is beside them or in the folder above: `camera.json` (`{"fx": 615, "fy": 615,
+      "cx": 320, "cy": 240, "width": 640, "height": 480}` [pixels], with `"lens": [k1, k2, p1, p2, k3]` where the images
+      are not rectified), or that of another program. In a folder, depth is in `depth/`, with colour under the same
+      names in `rgb/` or `color/`; or all images are in the folder itself, with "depth" in their names.
     * **A BOP scene** (`scene_camera.json`, `depth/000000.png`, `rgb/`), or a split with scenes in it; the objects are
       those of its data set, unless `--library` names others.
     * **A recording** with depth images, as for `handsight track`: the rig names the topics. The hand is masked where it
@@ -163,7 +160,7 @@ def locate(
 
     An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
     covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, up to
-    three hypotheses with weights (`-v`: all), and seconds; or `"found": false` and the reason. With several objects it
+    three hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it
     lists them in `objects`, and in `missing` why others are not there. With `--which` it has the probability of each
     (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is null if `none` is
     more probable. An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it is
@@ -171,56 +168,56 @@ def locate(
     """
     from handsight.checks import suggestion
     from handsight.objects.library import Library, NoLibrary
-    from handsight.recording.bop import Hints
     from handsight.recording.frames import Beside, Frame, is_recording, open_frames, recorded_frames, within
+    from handsight.recording.hints import Hints
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     announce_compiling()
-    for place, what in ((output, "the answers"), (plot, "the picture")):
-        for source in (images, camera, color, mask, rig, detections, start, targets):
-            check_not_overwritten(place, what, source, "what is read")
-    check_not_overwritten(plot, "the picture", output, "the answers")
-    terminal.check_plots(plot)
-    csv, numbers = output is not None and output.suffix.lower() == ".csv", None
+    terminal.check_outputs(output, plot, images, camera, mask, rig, detections, start, targets)
+    csv = output is not None and output.suffix.lower() == ".csv"
+    numbers = None
     names, most = _counted(object or [])
-    beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
+    beside = Beside(camera=camera, resized=resized, mask=mask, depth_scale=depth_scale)
+    noise = STRUCTURED_LIGHT
     if is_recording(images):
         if csv:
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
-        alone = {"depth-camera": depth_camera, "detections": detections, "start": start, "targets": targets}
-        for option in (option for option, given in alone.items() if given is not None):
-            raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
+        refuse(str(images), depth_camera=depth_camera, detections=detections, start=start, targets=targets)
         if beside != Beside():
-            what = "expected no camera, colour, mask or depth scale beside a recording"
+            what = "expected no camera, mask or depth scale beside a recording"
             raise InvalidInput(f"{images}: {what}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
-        noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
+        if robot.camera is not None:
+            noise = PRESETS[robot.camera.depth_camera]
         frames = recorded_frames(images, robot)
     else:
-        if rig is not None:
-            raise InvalidInput(f"--rig: expected beside a recording, got it beside {images}")
-        noise = STRUCTURED_LIGHT
+        refuse(str(images), rig=rig)
         if depth_camera is not None:
             if depth_camera not in PRESETS:
                 expected = f"expected one of {', '.join(PRESETS)}"
                 hint = suggestion(depth_camera, PRESETS)
                 raise InvalidInput(f"--depth-camera: {expected}, got {depth_camera!r:.80}{hint}")
-            noise = PRESETS[cast("DepthCamera", depth_camera)]
+            noise = PRESETS[depth_camera]
         frames = open_frames(images, beside)
+        folder = frames.folder
+        if folder is not None:
+            names = names or ([str(mesh) for mesh in folder.meshes] if library is None else [])
+            start = start or folder.poses
+            terminal.say(folder.sentence(images))
         library = library or (str(frames.library) if frames.library else None)
-        index = which and not any((detections, start, targets))
-        models = find_models(names, library=library, scale=scale, index=index)
+        models = find_models(names, library=library, scale=scale)
         if csv:  # BOP's results name objects by the library's numbers
-            entries, opened = zip(models, names or models, strict=True), Library(library)
-            numbers = {name: opened.entry(entry).number for name, entry in entries}
+            entry = Library(library).entry
+            numbers = {name: entry(each).number for name, each in zip(models, names or models, strict=True)}
         if any((mask, detections, start, targets)):
             try:
-                known = {entry.name: entry.number for entry in Library(library).entries()}
+                entries = Library(library).entries()
             except NoLibrary:
-                known = {}
-            hints = Hints(list(models), known, detections=detections, start=start, targets=targets)
-            terminal.say(*(f"handsight: {sentence}" for sentence in hints.sentences))
+                entries = ()
+            known = {str(entry.number): entry.name for entry in entries if entry.name in models}
+            hints = Hints(models, known, frames.images, detections=detections, start=start, targets=targets)
+            terminal.say(*hints.sentences)
             total = None if targets else frames.total
             frames = frames._replace(total=total, each=hints.beside_each(frames.each))
     if box is not None:
@@ -233,103 +230,98 @@ def locate(
         each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
     counts = {name: most[given] for name, given in zip(models, names, strict=False) if given in most}
-    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers, verbose):
+    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers):
         raise typer.Exit(code)
 
 
-def _counted(given: list[str]) -> tuple[list[str], dict[str, int | None]]:
-    """Returns the names of objects, each once, and how many there are at most of those that were given with a number or
-    several times; None: any number. Raises InvalidInput."""
-    names, most = list[str](), dict[str, int | None]()
+def _counted(given: list[str]) -> tuple[list[str], dict[str, int]]:
+    """Returns the names of objects, each once, and how many there are at most of those given as NAME*N; raises
+    InvalidInput."""
+    names = list[str]()
+    most = dict[str, int]()
     for each in given:
         name, star, digits = each.partition("*")
-        if digits and not (digits.isascii() and digits.isdecimal() and 0 < int(digits) <= MAX_INSTANCES):
-            expected = f"expected NAME*N with a number from 1 to {MAX_INSTANCES}"
-            raise InvalidInput(f"--object: {expected}, got {each!r:.80}")
+        if star:
+            if not (digits.isascii() and digits.isdecimal() and 0 < int(digits) <= MAX_INSTANCES):
+                expected = f"expected NAME*N with a number from 1 to {MAX_INSTANCES}"
+                raise InvalidInput(f"--object: {expected}, got {each!r:.80}")
+            most[name] = int(digits)
         if name not in names:
             names.append(name)
-            if star:
-                most[name] = int(digits) if digits else None
-        else:
-            before = most.get(name, 1)
-            most[name] = None if before is None or (star and not digits) else before + int(digits or 1)
     return names, most
 
 
 def _locate_each(
     frames: "Frames",
     models: "Mapping[str, ObjectModel]",
-    counts: Mapping[str, int | None] | None,
+    counts: Mapping[str, int] | None,
     noise: "DepthNoise",
     output: Path | None,
     plot: Path | None,
     numbers: Mapping[str, int] | None,
-    complete: bool,
 ) -> int:
     """Locates objects in each image, and returns the command's exit code.
 
     The answers are written to a file or stdout, or shown as a table on a terminal; after Ctrl-C or an error, those
     until then. An error before the first answer is raised. `counts`: as `locator` takes them. `numbers`: BOP's numbers
-    of the objects, by name, for BOP's results; None: the answers are lines of JSON, `complete` or with
-    the likeliest hypotheses only.
+    of the objects, by name, for BOP's results; None: the answers are lines of JSON.
     """
-    from handsight.recording.bop import BOP_COLUMNS
     from handsight.recording.detections import bop_lines, json_line
     from handsight.recording.frames import Unread
+    from handsight.recording.pose_file import BOP_COLUMNS
 
-    done, found, locate_in, several = 0, 0, None, len(models) > 1 or bool(counts)
-    panels, cells = list["Located | LocatedAll"](), list[list[str]]()  # for the picture, and for the table
+    done = found = 0
+    locate_in: Callable[[Frame], Located | LocatedAll] | None = None
+    panels = list["Located | LocatedAll"]()  # for the picture
+    cells = list[list[str]]()  # for the table
     unread, missed = list[str](), list[str]()  # why images cannot be read, or do not show an object
+    notes = list[str]()
     as_table = output is None and sys.stdout.isatty()
     with (
         terminal.kept_going() as end,
-        terminal.output_stream(output) as sink,
+        terminal.output_lines(output) as write,
         terminal.bar("locating") as move,
     ):
-
-        def write(*lines: str) -> None:
-            """Writes the lines of an answer at once."""
-            with write_errors(stream_name(sink) if sink is sys.stdout or output is None else output):
-                sink.writelines(f"{line}\n" for line in lines)
-                sink.flush()
-
-        if numbers is not None:
-            write(BOP_COLUMNS)
+        header = [] if numbers is None else [BOP_COLUMNS]
         for frame in frames.each:
             row: Row
             if isinstance(frame, Unread):
                 row = frame
-                unread.append(frame.reason)
+                unread.append(f"handsight: {frame.reason}")
             else:
                 locate_in = locate_in or locator(models, noise, counts)
                 row = locate_in(frame)
+                if row.reason is not None and frame.unit_else is not None:
+                    otherwise = locate_in(frame.in_millimetres())
+                    row = row if otherwise.reason is not None else otherwise
+                notes += [note for note in row.frame.notes if note not in notes]
                 found += row.reason is None
                 if row.reason is not None:
                     missed.append(f"{frame.name}: not here: {row.reason}")
-                if len(panels) < MOST_PANELS:
-                    panels.append(row)
+                panels = [*panels, row][:MOST_PANELS]
             done += 1  # after the search, which Ctrl-C may end
             if as_table:
-                cells += _table_rows(row, several=several)
+                cells += _table_rows(row)
             else:
-                write(*([json_line(row, complete=complete)] if numbers is None else bop_lines(row, numbers)))
+                lines = [json_line(row)] if numbers is None else bop_lines(row, numbers)
+                write(header + lines)
+                header = []
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
-        title = (f"{len(models)} objects" if len(models) > 1 else next(iter(models))) + " in depth images"
-        columns = ["image", *["object"] * several, *COLUMNS]
-        terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
+        title = f"{', '.join(models)} in depth images"
+        terminal.print_out(terminal.table(COLUMNS, cells, texts=2, title=title))
     if isinstance(end.error, HandsightError) and not done:
         raise end.error
-    sentences = [f"handsight: {reason}" for reason in unread[:MAX_MESSAGES]]
-    if more := len(unread[MAX_MESSAGES:]):
-        sentences.append(f"handsight: {more} more images cannot be read")
+    sentences = unread[:MAX_MESSAGES]
+    if len(unread) > MAX_MESSAGES:
+        sentences.append(f"handsight: {len(unread) - MAX_MESSAGES} more images cannot be read")
+    sentences += notes[:MAX_MESSAGES]
     if output is not None and not isinstance(end.error, NotWritten):
         sentences.append(f"wrote {output}: found in {found} of {done} images")
     if cells:
         sentences += missed[:MAX_MESSAGES]
     if end.exit_code:
-        stopped = f"handsight: stopped after {done} images; what was found is kept"
-        sentences.append(end.message or stopped)
+        sentences.append(end.message or f"handsight: stopped after {done} images; what was found is kept")
     if plot is not None and panels:
         sentences.append(draw(panels, plot))
     terminal.say(*sentences)
@@ -339,11 +331,11 @@ def _locate_each(
 
 
 def locator(
-    models: "Mapping[str, ObjectModel]", noise: "DepthNoise", counts: Mapping[str, int | None] | None = None
+    models: "Mapping[str, ObjectModel]", noise: "DepthNoise", counts: Mapping[str, int] | None = None
 ) -> "Callable[[Frame], Located | LocatedAll]":
     """Returns a function that locates the object in an image, or each that is there of several.
 
-    counts: how many there are at most, by name, of several objects or of one in `counts`; a value of None: any number.
+    counts: how many there are at most, by name; any number of several objects without one.
     `counts` is None: only one object is there, and of several it is said which. Everything that is compiled or computed
     once is done here, so that the seconds of an image do not contain it.
     """
@@ -354,41 +346,42 @@ def locator(
     from handsight.vision import ObjectDetection, locate_all, recognise
     from handsight.vision.object.first_pose import first_pose
     from handsight.vision.object.region import scene_of
-    from handsight.vision.object.shape_index import ShapeIndex
 
     matrix = np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
     camera = Camera(matrix, (64, 48))
-    for model in islice(models.values(), 1 if isinstance(models, ShapeIndex) else None):
+    for model in models.values():
         in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
         drawn = camera.draw(in_front, model.faces).depth
         first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)
 
     def locate_in(frame: "Frame") -> "Located | LocatedAll":
         """Returns the objects' poses in an image, and how long the search took."""
-        started, asked, found = time.perf_counter(), models, None
-        camera, depth, mask, hand = frame.camera, frame.depth, frame.wanted, frame.hand
+        started = time.perf_counter()
+        asked = models
         if frame.targets is not None:
             asked = {name: models[name] for name in frame.targets}
+        image: dict[str, Any] = {"mask": frame.wanted, "hand": frame.hand, "noise": noise}
         beside = frame.detections is not None or frame.starts is not None
-        most = {name: n for name, n in (frame.targets or counts or {}).items() if n is not None}
-        if counts is None or (len(models) == 1 and not counts and max(most.values(), default=1) == 1):
-            here, which = dict[str, ObjectDetection](), None
+        most = frame.targets or counts or {}
+        alone = len(models) == 1 and not counts and max(most.values(), default=1) == 1
+        if counts is None or alone:
+            here = dict[str, ObjectDetection]()
+            which = None
             if beside or len(models) == 1:
                 here = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
             if len(models) > 1:
-                which = recognise(asked, depth, camera, found=here, mask=mask, hand=hand, noise=noise)
+                which = recognise(asked, frame.depth, frame.camera, found=here, **image)
                 here = which.found
-            name, seconds = next(iter(here)), time.perf_counter() - started
-            model, one = models[name], here[name]
-            return Located(frame=frame, model=model, found=one, seconds=seconds, recognition=which)
+            name, one = next(iter(here.items()))
+            seconds = time.perf_counter() - started
+            return Located(frame=frame, model=models[name], found=one, seconds=seconds, recognition=which)
+        found = None
         if beside:
             named = asked.items()
             found = {name: _found_beside(frame, model, name, noise, each=True) for name, model in named}
-        scene = locate_all(asked, depth, camera, counts=most, found=found, mask=mask, hand=hand, noise=noise)
-        judged = {name: each[0].starts for name, each in (found or {}).items() if each}
-        starts = {name: one for name, one in judged.items() if one is not None}
+        scene = locate_all(asked, frame.depth, frame.camera, counts=most, found=found, **image)
         seconds = time.perf_counter() - started
-        return LocatedAll(frame=frame, models=models, found=scene, seconds=seconds, starts=starts)
+        return LocatedAll(frame=frame, models=models, found=scene, seconds=seconds)
 
     return locate_in
 
@@ -418,27 +411,26 @@ def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:
     return f"wrote {path}"
 
 
-def _table_rows(row: "Row", *, several: bool) -> list[list[str]]:
-    """Returns the cells of an answer's rows in the table, one row for each object that was found; `several`: whether
-    there is a column of the object."""
+def _table_rows(row: "Row") -> list[list[str]]:
+    """Returns the cells of an answer's rows in the table, one row for each object that was found."""
+    import numpy as np
+
     from handsight.recording.detections import Located
     from handsight.recording.frames import Unread
 
     if isinstance(row, Unread):
-        return [[row.name, *[""] * several, "cannot be read"]]
-    milliseconds, which, rows = f"{1e3 * row.seconds:.0f}", ["none"] * several, list[list[str]]()
+        return [[row.name, "", "cannot be read"]]
+    milliseconds = f"{1000 * row.seconds:.0f}"
+    if row.reason is not None:
+        return [[row.frame.name, "none", "not here", "", "", "", milliseconds]]
+    rows = []
     for each in [row] if isinstance(row, Located) else row.instances:
-        if (answer := each.recognition) is not None:
-            probability = answer.none if answer.name is None else answer.scores[answer.name]
-            which = [f"{answer.name or 'none'}: {probability:.2f}"]
-        elif several:
-            which = [f"{each.model.name}: {each.found.probability:.2f}"]
-        cells = ["not here", *[""] * 5]
-        if each.reason is None:
-            T, found = each.found.Ts_camera_object[0], each.found
-            shift, turn = (math.sqrt(found.covariances[0].diagonal()[k : k + 3].max()) for k in (0, 3))
-            cells = [", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3]), f"{1e3 * shift:.1f}"]
-            cells += [f"{math.degrees(turn):.1f}", f"{each.explained:.0%}", f"{found.weights[0]:.2f}"]
-            cells.append(str(len(found.weights) - 1))
-        rows.append([each.frame.name, *which, *cells, milliseconds])
-    return rows or [[row.frame.name, *which, "not here", *[""] * 5, milliseconds]]
+        found = each.found
+        name = each.model.name
+        if each.recognition is not None:
+            name = f"{name}: {each.recognition.scores[name]:.2f}"
+        place = millimetres(found.Ts_camera_object[0, :3, 3])
+        sigmas = np.sqrt(found.covariances[0].diagonal())
+        off = millimetres(sigmas[:3].max()), f"{math.degrees(sigmas[3:].max()):.1f}"
+        rows.append([each.frame.name, name, place, *off, f"{found.probability:.2f}", milliseconds])
+    return rows

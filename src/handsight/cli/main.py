@@ -4,10 +4,11 @@ import gc
 import io
 import os
 import sys
+import tempfile
 import time
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from typer import Option
@@ -63,13 +64,17 @@ def main() -> None:
     except BrokenPipeError:
         sys.exit(terminal.NOBODY_READS)
     except HandsightError as error:
-        message, code = str(error), terminal.exit_code(error)
+        message = str(error)
+        code = terminal.exit_code(error)
     except OSError as error:
-        message, code = f"{error.filename or 'output'}: {error.strerror or error}", terminal.CANNOT_WRITE
+        message = f"{error.filename or 'output'}: {error.strerror or error}"
+        code = terminal.CANNOT_WRITE
     except Warning as error:  # as PYTHONWARNINGS=error asks
-        message, code = f"{error} (an error by PYTHONWARNINGS)", terminal.WRONG_INPUT
+        message = f"{error} (an error by PYTHONWARNINGS)"
+        code = terminal.WRONG_INPUT
     except MemoryError:
-        message, code = "expected input that fits into memory, got more", terminal.WRONG_INPUT
+        message = "expected input that fits into memory, got more"
+        code = terminal.WRONG_INPUT
     terminal.say(f"handsight: {message}")
     sys.exit(code)
 
@@ -100,41 +105,44 @@ def warmup(
     """Compile all kernels now, on all cores; needed once for each version and kind of machine.
 
     Without it, the first command that needs a kernel compiles it. They are kept in the user's cache folder, or in the
-    one that HANDSIGHT_CACHE names, which may be copied to where processor, Python, numba and handsight are the same.
+    one that HANDSIGHT_CACHE names, which may be copied to where processor, Python, numba and handsight are the same
+    and handsight is installed in the same place.
 
     ```
     handsight warmup --into /opt/handsight
     ```
     """
-    from concurrent.futures import as_completed
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
 
     import numba
 
-    from handsight._kernels.runtime.kernel_cache import folder
-    from handsight.batch.workers import Processes
-    from handsight.tracking.warm import GROUPS, LATER
-
     if into is not None:
+        into.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=into).close()  # else each kernel would be compiled, and not kept
         os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
         os.environ.pop("NUMBA_CACHE_DIR", None)
+    from handsight._kernels.jit import FOLDER  # by these variables
+    from handsight.tracking.warm import GROUPS, LATER
+
     started = time.monotonic()
-    with Processes(numba.config.NUMBA_NUM_THREADS, _compile) as workers:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(numba.config.NUMBA_NUM_THREADS, context) as workers:
         for names in ([name for name in GROUPS if name not in LATER], LATER):
-            running = {workers.submit([name.encode()]): name for name in names}
+            running = {workers.submit(_compile, name): name for name in names}
             for ended in as_completed(running):
-                terminal.say(f"{ended.result().seconds:6.1f} s  {running[ended]}")
-    place = folder() if into is None else f"{into}; to use them, HANDSIGHT_CACHE={folder().parent}"
+                terminal.say(f"{ended.result():6.1f} s  {running[ended]}")
+    place = FOLDER if into is None else f"{into}; to use them, HANDSIGHT_CACHE={into.absolute()}"
     print(f"compiled in {time.monotonic() - started:.1f} s; kept in {place}")
 
 
-def _compile(names: list[bytes]) -> Any:
-    from handsight.batch.workers import Answers
+def _compile(name: str) -> float:
+    """Returns the seconds that a group of kernels took to compile."""
     from handsight.tracking.warm import GROUPS
 
     started = time.monotonic()
-    for name in names:
-        GROUPS[name.decode()]()
-    return Answers([], time.monotonic() - started, [])
+    GROUPS[name]()
+    return time.monotonic() - started
 
 
 for command in (demo, track, view, locate, simulate, correct, reconstruct):

@@ -1,5 +1,6 @@
 """`handsight objects`: a library of objects: list, show, add, weigh, verify and fetch."""
 
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from handsight.cli.options import LibraryPlace, RecordingPath, RigPath, Run, find_rig
-from handsight.cli.terminal import announce_compiling, bar, plain_table, print_out, say
+from handsight.cli.options import LibraryPlace, RecordingPath, RigPath, Run, find_rig, refuse
+from handsight.cli.terminal import announce_compiling, bar, millimetres, plain_table, print_out, say
 from handsight.errors import InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ objects_app = typer.Typer(
     no_args_is_help=True,
 )
 
+FAR = 5.0  # from the origin, in diameters, where an object's frame is of no use
+USUAL_SIZE = 0.1  # diameter to which a mesh of unknown scale is brought before it is measured [m]
+MAX_SIGMA = 0.01  # of a centre of mass per axis [m]; a less certain one is of no use
 Name = Annotated[str, Argument(help="A name, or a number as in BOP.")]
 
 
@@ -37,9 +41,9 @@ def list_(library: LibraryPlace = None) -> None:
     rows = []
     for entry in _opened(library).entries():
         facts = entry.facts
-        mass = f"{1e3 * facts.mass:.4g}" if facts and facts.mass is not None else "-"
+        mass = "-" if facts is None or facts.mass is None else _grams(facts.mass)
         texts = (entry.name, _symmetries(entry.symmetries), facts.licence if facts else "")
-        rows.append((*texts, str(entry.number), f"{1e3 * entry.diameter:.1f}", mass))
+        rows.append((*texts, str(entry.number), millimetres(entry.diameter), mass))
     columns = ("name", "symmetries", "licence", "number", "diameter [mm]", "mass [g]")
     print_out(plain_table(columns, rows, texts=3))
 
@@ -54,38 +58,60 @@ def show(name: Name, library: LibraryPlace = None) -> None:
     """
     opened = _opened(library)
     entry = opened.entry(name)
-    known = {
-        "name": entry.name,
-        "file": f"{entry.file} of {entry.place}",
-        "diameter": f"{1e3 * entry.diameter:.1f} mm",
-    }
+    known = {"name": entry.name, "file": f"{entry.file} of {entry.place}"}
+    known["diameter"] = f"{millimetres(entry.diameter)} mm"
     if entry.size is not None:
-        known["size"] = " x ".join(f"{1e3 * side:.1f}" for side in entry.size) + " mm"
+        known["size"] = f"{' x '.join(map(millimetres, entry.size))} mm"
     known["symmetries"] = _symmetries(entry.symmetries)
-    if (facts := entry.facts) is not None:
+    facts = entry.facts
+    if facts is not None:
+        if facts.sigma_scale is not None:
+            known["scale"] = f"measured, ± {100 * facts.sigma_scale:.2g} % (one standard deviation)"
+        if facts.origin_file is not None:
+            known["origin"] = f"{_metres(facts.origin_file)} of the file that was added"
         if facts.mass is not None:
-            known["mass"] = f"{1e3 * facts.mass:.4g} g"
+            known["mass"] = f"{_grams(facts.mass)} g"
         if facts.center_of_mass is not None:
-            place = ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass)
-            sigma = facts.sigma_center_of_mass
-            known["centre of mass"] = f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
-        known |= {key: text for key in ("licence", "source") if (text := getattr(facts, key))}
-        known["SHA-256"] = facts.sha256
+            known["centre of mass"] = f"[{millimetres(facts.center_of_mass)}] mm"
+            if facts.sigma_center_of_mass:
+                known["centre of mass"] += f" ± {millimetres(facts.sigma_center_of_mass)} mm per axis"
+        known |= {"licence": facts.licence, "source": facts.source, "SHA-256": facts.sha256}
     for key, value in known.items():
-        typer.echo(printable(f"{key:16}{value}"))
+        if value:
+            typer.echo(printable(f"{key:16}{value}"))
     _print_wrong(opened.wrong([entry]))
 
 
 @objects_app.command()
 def add(
     file: Annotated[
-        Path, Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
+        Path, Argument(help="A mesh (STL, OBJ, PLY, OFF, GLB, DAE, 3MF) or a point cloud (PLY, OFF, XYZ).")
     ],
     name: Annotated[str, Option(help="Name of the object in the library.")],
     scale: Annotated[float, Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
+    scale_from: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Measure the scale of a mesh that has none: by a depth image of the object, with --mask, or by three "
+            "touches or more, better a dozen, all in one frame (.jsonl: a line as `handsight correct` takes it, its "
+            "`object` left out, or a contact a line).",
+        ),
+    ] = None,
+    mask: Annotated[
+        Path | None, Option(help="With a depth image: an image that is not 0 where the object is.")
+    ] = None,
+    camera: Annotated[
+        Path | None,
+        Option(help="With a depth image: file of the camera's intrinsics. Default: that beside the image."),
+    ] = None,
+    depth_scale: Annotated[
+        float | None, Option(help="With a depth image: metres per step of depth, as for `handsight locate`.")
+    ] = None,
     mass: Annotated[float | None, Option(help="Mass [kg].")] = None,
     center_of_mass: Annotated[
-        tuple[float, float, float] | None, Option(help="Centre of mass in the object's frame [m].")
+        tuple[float, float, float] | None,
+        Option(metavar="X Y Z", help="Centre of mass in the object's frame [m]."),
     ] = None,
     sigma_center_of_mass: Annotated[
         float | None, Option(help="Standard deviation of the centre of mass per axis [m].")
@@ -93,13 +119,20 @@ def add(
     symmetry: Annotated[
         list[str] | None,
         Option(
-            metavar="z|z/N|find",
-            help="Symmetry of shape and print: rotation by any angle about an axis (x, y, z) through the middle of the "
-            "surface, or by an N-th of a turn; find: the symmetries of the shape. May be given several times.",
+            metavar="AXIS",
+            help="Symmetry of shape and print: `z`, rotation by any angle about that axis (x, y, z) through the middle "
+            "of the surface; `z/N`, by an N-th of a turn; `find`, those of the shape. May be given several times.",
         ),
     ] = None,
     licence: Annotated[str, Option(help="Licence of the model.")] = "",
     source: Annotated[str, Option(help="Where the model is from.")] = "",
+    recentre: Annotated[
+        bool,
+        Option(
+            "--recentre",
+            help="Move it to the middle of its bounds, as from map coordinates; it is said by how much.",
+        ),
+    ] = False,
     force: Annotated[
         bool, Option("--force", help="Add it even if its size is not that of an object in a hand.")
     ] = False,
@@ -112,29 +145,57 @@ def add(
     ```
     handsight objects add mustard.obj --name mustard --mass 0.603 --symmetry z/2 --licence "CC BY 4.0"
     handsight objects add can.stl --name can --scale 0.001 --symmetry z --symmetry x/2
+    handsight objects add generated.glb --name mug --scale-from depth.png --mask mask.png --camera d435.json
     ```
     """
-    from handsight.objects import Facts, ObjectModel, Symmetries, declared_symmetries
+    import numpy as np
 
-    facts = Facts(
-        name=name,
-        mass=mass,
-        center_of_mass=center_of_mass,
-        sigma_center_of_mass=sigma_center_of_mass,
-        licence=licence,
-        source=source,
-    )
+    from handsight.objects import Facts, ObjectModel, Symmetries, declared_symmetries
+    from handsight.objects.files import read_shape, write_recentred
+
     announce_compiling()
-    symmetries = Symmetries()
-    if symmetry:
-        try:
-            symmetries = declared_symmetries(ObjectModel.from_file(file, scale), symmetry)
-        except InvalidInput as error:
-            raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
-    opened = _opened(library)
-    entry = opened.add(file, facts, scale=scale, symmetries=symmetries, force=force)
-    size = f"diameter {1e3 * entry.diameter:.1f} mm, symmetries: {_symmetries(entry.symmetries)}"
+    with tempfile.TemporaryDirectory() as folder:
+        shape = file
+        middle = None
+        if recentre:
+            shape, middle = write_recentred(file, Path(folder))
+        sigma_scale = None
+        if scale_from is None:
+            refuse("a scale that is given", mask=mask, camera=camera, depth_scale=depth_scale)
+        else:
+            refuse("--scale-from", scale=scale != 1.0)
+            scale, sigma_scale = _measured_scale(shape, scale_from, mask, camera, depth_scale)
+        origin = None if middle is None else tuple((scale * middle).tolist())
+        facts = Facts(
+            name=name,
+            origin_file=origin,
+            sigma_scale=sigma_scale,
+            mass=mass,
+            center_of_mass=center_of_mass,
+            sigma_center_of_mass=sigma_center_of_mass,
+            licence=licence,
+            source=source,
+        )
+        symmetries = Symmetries()
+        if symmetry:
+            try:
+                symmetries = declared_symmetries(ObjectModel.from_file(shape, scale), symmetry)
+            except InvalidInput as error:
+                raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
+        opened = _opened(library)
+        entry = opened.add(shape, facts, scale=scale, symmetries=symmetries, force=force)
+    size = f"diameter {millimetres(entry.diameter)} mm, symmetries: {_symmetries(entry.symmetries)}"
     say(f"added {entry.name} to {opened.place} as {entry.file}: {size}")
+    if origin is not None:
+        place = _metres(origin)
+        say(f"its origin is {place} of {file.name}: a point of that frame, less this, is one of the object's")
+        return
+    points = scale * read_shape(file).vertices
+    away = float(np.linalg.norm(np.nanmean(points, axis=0)))
+    if away > FAR * entry.diameter:
+        say(
+            f"it is {away:.3g} m from the origin of its frame, whose poses are answered; --recentre moves it there"
+        )
 
 
 @objects_app.command()
@@ -157,8 +218,8 @@ def verify(library: LibraryPlace = None) -> None:
 def fetch(url: Annotated[str, Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
     """Copy a library and all its models to this machine's cache, or update the copy.
 
-    A library at a URL is read from its copy, and the network is used only for what the copy lacks. URLs may be http,
-    https and file; others (s3, gs, hf, github) need fsspec: `pip install 'handsight[library]'`.
+    A library at a URL is read from its copy, and the network is used only for what the copy lacks. It needs
+    `pip install 'handsight[library]'`.
 
     ```
     handsight objects fetch https://host/ycbv
@@ -206,22 +267,72 @@ def weigh(
         expected = "expected an object that is weighed in the air"
         raise InvalidInput(f"{recording.name}: {expected}, got none: {reason}")
     center, sigma = found.kept_by_symmetries(model)
-    place = ", ".join(f"{1e3 * x:.1f}" for x in center)
-    text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
-    say(f"{model.name}: {text}, by {found.directions} directions of gravity")
-    max_sigma = 0.01  # [m] per axis; a less certain centre is of no use
-    if sigma > max_sigma:
+    mass = f"{_grams(found.mass)} ± {1000 * found.sigma_mass:.2g} g"
+    place = f"[{millimetres(center)}] ± {millimetres(sigma)} mm per axis"
+    say(f"{model.name}: {mass}, centre {place}, by {found.directions} directions of gravity")
+    if sigma > MAX_SIGMA:
         hint = "where the object is in the hand must be known: by more contacts, or by vision"
-        expected = f"expected a centre of mass known to {1e3 * max_sigma:g} mm, got {1e3 * sigma:.1f} mm"
+        expected = (
+            f"expected a centre of mass known to {millimetres(MAX_SIGMA)} mm, got {millimetres(sigma)} mm"
+        )
         raise InvalidInput(f"{recording.name}: {expected}: not written ({hint})")
     opened.weigh(name, found.mass, center, sigma)
     say(f"wrote {opened.place}")
+
+
+def _measured_scale(
+    file: Path, measured: Path, mask: Path | None, camera: Path | None, depth_scale: float | None
+) -> tuple[float, float]:
+    """Returns the metres per unit of a mesh, and their standard deviation as a share, by a depth image or touches."""
+    from handsight.objects import ObjectModel
+    from handsight.objects.files import read_shape
+    from handsight.objects.surface import diameter
+    from handsight.vision.scale import ScaleUnknown, scale_by_depth, scale_by_touch
+
+    usual = USUAL_SIZE / diameter(read_shape(file).vertices)
+    model = ObjectModel.from_file(file, usual)
+    try:
+        if measured.suffix.lower() in (".jsonl", ".json"):
+            from handsight.batch.problems import read_touches
+
+            refuse("touches", mask=mask, camera=camera, depth_scale=depth_scale)
+            contacts, vision = read_touches(measured)
+            found = scale_by_touch(model, contacts, vision=vision)
+        else:
+            from handsight.recording.frames import Beside, Frame, open_frames
+
+            if mask is None:
+                raise InvalidInput("--mask: expected an image of where the object is, got nothing")
+            frames = open_frames(measured, Beside(camera=camera, mask=mask, depth_scale=depth_scale))
+            frame = next(frames.each)
+            if frames.total != 1 or not isinstance(frame, Frame) or frame.wanted is None:
+                raise InvalidInput(f"--scale-from: expected one depth image, got {frames.total}")
+            say(*frame.notes)
+            found = scale_by_depth(model, frame.depth, frame.camera, frame.wanted)
+    except ScaleUnknown as error:
+        candidates = " or ".join(f"{usual * each:.3g}" for each in error.candidates)
+        hint = f" (candidates: {candidates} m per unit; --scale takes one)" if candidates else ""
+        raise InvalidInput(f"--scale-from: {error}{hint}") from None
+    metres = usual * found.factor
+    share = found.sigma / found.factor
+    size = f"{millimetres(USUAL_SIZE * found.factor)} mm in diameter"
+    say(f"1 unit of {file.name} is {metres:.4g} m, ± {share * metres:.2g} (one standard deviation): {size}")
+    return metres, share
 
 
 def _opened(place: str | None) -> "Library":
     from handsight.objects import Library
 
     return Library(place)
+
+
+def _metres(place: "Iterable[float]") -> str:
+    """Returns a place [m] to a tenth of a millimetre, however far away."""
+    return f"[{', '.join(f'{value:.4f}' for value in place)}] m"
+
+
+def _grams(mass: float) -> str:
+    return f"{1000 * mass:.4g}"
 
 
 def _print_wrong(sentences: "Iterable[str]") -> None:

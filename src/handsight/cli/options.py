@@ -1,16 +1,14 @@
 """Options that several commands share, and the values that they name: a rig, objects, and a `Run` of a recording."""
 
 import contextlib
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from handsight.cli.terminal import announce_compiling, say
+from handsight.cli.terminal import announce_compiling
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -38,27 +36,12 @@ LibraryPlace = Annotated[
     Option(
         "--library",
         metavar="FOLDER|URL",
-        help="Library of objects. Default: $HANDSIGHT_LIBRARY, else ~/.local/share/handsight/library.",
+        help="Library of objects. Default: $HANDSIGHT_LIBRARY, else `handsight/library` in `~/.local/share`.",
     ),
 ]
 Rate = Annotated[
     float | None,
     Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
-]
-Answer = Annotated[
-    str,
-    Option(
-        metavar="best|maximum|mean",
-        help="Which pose is reported: the maximum of the posterior, its mean, or best: the mean where the posterior is "
-        "not Gaussian, else the maximum.",
-    ),
-]
-Samples = Annotated[
-    int,
-    Option(
-        min=0,
-        help="Report the mean of this many samples of the posterior instead, as a slow check. 0: do not sample.",
-    ),
 ]
 OutsidePoints = Annotated[
     int,
@@ -68,18 +51,15 @@ WithImages = Annotated[
     bool,
     Option(help="Find the object in the recorded depth images; without images, use recorded poses of it."),
 ]
-DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
+DEPTH_CAMERAS = "structured_light, time_of_flight or stereo"
 """Kinds of depth cameras, each with its own errors: the names in `handsight.vision.depth_noise`."""
 
 
-Value = TypeVar("Value")
-
-
-def renamed(new: Value, old: Value, names: tuple[str, str]) -> Value:
-    """Returns an option's value under its new name, else under its former one, which causes a warning on stderr."""
-    if old:
-        say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
-    return new or old
+def refuse(beside: str, **options: object) -> None:
+    """Raises InvalidInput where an option is given that does not go with something else."""
+    for name, given in options.items():
+        if given:
+            raise InvalidInput(f"--{name.replace('_', '-')}: expected none with {beside}, got some")
 
 
 def tracker_settings(**given: Any) -> "TrackerSettings":
@@ -94,14 +74,12 @@ def tracker_settings(**given: Any) -> "TrackerSettings":
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A `Run` is the input of a command: a recording, the rig of the robot in it, and the object in the hand."""
+    """The input of a command: a recording, the rig of the robot in it, and the object in the hand."""
 
     recording: Path
     rig: "Rig"
     model: "ObjectModel"
     settings: "TrackerSettings | None" = None
-    alternatives: "tuple[ObjectModel, ...]" = ()
-    """Other objects that may be in the hand."""
 
     @classmethod
     def of(
@@ -110,7 +88,6 @@ class Run:
         rig: Path | None,
         name: str | None,
         settings: "TrackerSettings | None" = None,
-        alternatives: Sequence[str] = (),
     ) -> "Run":
         """Returns the run that a command's options name; raises InvalidInput, InvalidFile."""
         announce_compiling()
@@ -119,8 +96,7 @@ class Run:
             known = ", ".join(found.objects) or "none"
             raise InvalidInput(f"--object: expected one of the rig, got nothing; {path} has {known}")
         (model,) = find_models(() if name is None else (name,), found, path).values()
-        others = find_models(alternatives, found, path).values() if alternatives else ()
-        return cls(recording, found, model, settings, tuple(others))
+        return cls(recording, found, model, settings)
 
     @contextlib.contextmanager
     def opened(self) -> "Iterator[tuple[Recording, Tracker]]":
@@ -134,7 +110,7 @@ class Run:
 
         with open_recording(self.recording, self.rig) as recording:
             rig = recording.calibrated_rig()
-            yield recording, Tracker(rig, self.model, settings=self.settings, alternatives=self.alternatives)
+            yield recording, Tracker(rig, self.model, settings=self.settings)
 
 
 def rig_beside(recording: Path) -> Path:
@@ -162,39 +138,31 @@ def find_models(
     *,
     library: str | None = None,
     scale: float = 1.0,
-    index: bool = False,
 ) -> "Mapping[str, ObjectModel]":
     """Returns the models of objects, by name; without names, those of all objects in the rig, else in the library.
 
     `rig_path`: the rig's file, for messages; `library`: None for the default one; `scale`: metres per unit of a mesh
-    file; `index`: a large library may be answered with a `ShapeIndex` of it. Raises InvalidInput, InvalidFile.
+    file. Raises InvalidInput, InvalidFile.
     """
-    from handsight.objects import Library
+    from handsight.objects import Library, ObjectModel
     from handsight.objects.library import NoLibrary, find_model
 
-    objects, opened = {} if rig is None else rig.objects, Library(library)
-    if wanted := tuple(names) or tuple(objects):
+    objects = {} if rig is None else rig.objects
+    opened = Library(library)
+    wanted = tuple(names) or tuple(objects)
+    if not wanted and rig is None:
+        with contextlib.suppress(NoLibrary):
+            wanted = tuple(entry.name for entry in opened.entries())
+    if not wanted:
+        expected = (
+            "expected a name of the library or a mesh file" if rig is None else "expected one of the rig"
+        )
+        raise InvalidInput(f"--object: {expected}, got nothing; {rig_path or opened.place} has none")
+    by_name = dict[str, ObjectModel]()
+    for name in wanted:
         place = "" if rig is None else str(rig_path)
-        find = partial(find_model, library=opened, scale=scale, argument="--object")
-        models = [find(name, objects, place) for name in wanted]
-    elif rig is not None:
-        raise InvalidInput(f"--object: expected one of the rig, got nothing; {rig_path} has none")
-    else:
-        message = "--object: expected a name of the library or a mesh file, got nothing"
-        try:
-            entries = opened.entries()
-        except NoLibrary:
-            raise InvalidInput(f"{message}; there is no library at {opened.place}") from None
-        if not entries:
-            raise InvalidInput(f"{message}; the library {opened.place} is empty")
-        if index:
-            from handsight.vision.object.shape_index import SHAPE_INDEX, ShapeIndex
-
-            if len(entries) > SHAPE_INDEX.shortlist:
-                return ShapeIndex(opened)
-        models = [opened.model(entry) for entry in entries]
-    by_name = {model.name: model for model in models}
-    if len(by_name) < len(models):
-        twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)
-        raise InvalidInput(f"--object: expected objects of different names, got {twice!r} twice")
+        model = find_model(name, objects, place, library=opened, scale=scale, argument="--object")
+        if model.name in by_name:
+            raise InvalidInput(f"--object: expected objects of different names, got {model.name!r} twice")
+        by_name[model.name] = model
     return by_name

@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Option
 
-from handsight.cli.options import RecordingPath, RigPath, find_rig, renamed
-from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
+from handsight.cli.options import RecordingPath, RigPath, find_rig
+from handsight.cli.terminal import announce_compiling, bar, kept_going, say
 from handsight.errors import InvalidInput
 from handsight.files import atomic_file, write_errors
 
 if TYPE_CHECKING:
     from handsight.recording import Recording
     from handsight.rig import Rig
-    from handsight.vision.reconstruction.completion import ReconstructedModel
-    from handsight.vision.reconstruction.grips import InHandReconstruction
-    from handsight.vision.reconstruction.reconstruct import Reconstruction
+    from handsight.vision.reconstruction.reconstruct import Reconstruction, View
+    from handsight.vision.reconstruction.volume import SurfacePoints
 
 
 def reconstruct(
@@ -42,28 +41,16 @@ def reconstruct(
             help="The hand holds the object and turns it in front of the camera. Default: the object is on a table.",
         ),
     ] = False,
-    guesses: Annotated[
-        bool,
-        Option(
-            "--guesses",
-            help="Guess what no view has shown by symmetry: this can be off by centimetres. Default: the surface stays "
-            "open there.",
-        ),
-    ] = False,
-    former_robot_poses: Annotated[bool, Option("--given", hidden=True)] = False,
-    former_in_hand: Annotated[bool, Option("--held", hidden=True)] = False,
 ) -> None:
     """Reconstruct a model of an object from a recording with depth images of many of its sides.
 
     Either move the camera around an object on a table. The object must be the one nearest to the middle of the first
-    image; a hand in the image is left out. Or let the hand turn the object in front of the camera (`--in-hand`). The
-    object's pose then follows the hand in the images. After a new grip the surface is aligned with that of the grip
-    before, if enough of it is seen in both; so what the fingers hid becomes visible. Turn by a few degrees from view to
-    view, and show as many sides as possible.
+    image; a hand in the image is left out. Or let the hand turn the object in front of the camera (`--in-hand`), in one
+    grip. The object's pose then follows the hand in the images. Turn by a few degrees from view to view, and show
+    as many sides as possible.
 
-    The sides that no view shows stay open, or are guessed by a symmetry that contradicts no measurement (`--guesses`).
-    On a table the lowest points are extended straight down to it. In the file, `measured` is 1 for measured points and
-    0 for guesses, and `sigma` is the standard deviation [m].
+    On a table the lowest points are extended straight down to it. Other sides that no view shows stay open. In the
+    file, `sigma` is the standard deviation [m] of the error that a point shares with its neighbours.
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -73,8 +60,11 @@ def reconstruct(
 
     After an error or Ctrl-C, the model from the views until then is written.
     """
+    import numpy as np
+
     from handsight.objects.files import Shape, ply_bytes
     from handsight.recording import open_recording
+    from handsight.vision.reconstruction.parts import SIGMA, SIGMA_FOOT, foot
 
     announce_compiling()
     if output.suffix.lower() != ".ply":
@@ -82,23 +72,26 @@ def reconstruct(
     found, _ = find_rig(recording, rig)
     if found.topics.depth is None:
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
-    in_hand = renamed(in_hand, former_in_hand, ("--in-hand", "--held"))
-    robot_poses = renamed(robot_poses, former_robot_poses, ("--robot-poses", "--given"))
-    fusion = Fusion(align=not robot_poses and not in_hand, in_hand=in_hand, guesses=guesses)
-    with open_recording(recording, found) as opened, live_rows(recording.name, Fusion.progress) as watch:
+    fusion = Fusion(align=not robot_poses and not in_hand, in_hand=in_hand)
+    with open_recording(recording, found) as opened, bar("reconstructing") as move:
         with kept_going() as end:
-            fusion.add_recording(opened, found, watch)
+            fusion.add_recording(opened, found, move)
         if end.error is not None and fusion.reconstruction is None:
             raise end.error
-        cut = opened.report.truncated
-        messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
+        messages = opened.report.faults[:1]
         messages += [end.message] if end.message else []
     try:
-        model, sentences = fusion.model()
-        content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
+        surface, sentences = fusion.surface()
+        points = surface.points
+        sigmas = np.full(len(points), SIGMA)
+        if not in_hand:
+            below = foot(surface, fusion.cell).points
+            points = np.concatenate([points, below])
+            sigmas = np.append(sigmas, np.full(len(below), SIGMA_FOOT))
+        content = ply_bytes(Shape(points, sigmas=sigmas), 1.0)
         with write_errors(output), atomic_file(output) as file:
             file.write(content)
-        messages += [*sentences, f"wrote {output}: {len(model.points)} points"]
+        messages += [*sentences, f"wrote {output}: {len(points)} points"]
     finally:
         say(*messages)
     if end.exit_code:
@@ -107,16 +100,16 @@ def reconstruct(
 
 @dataclass(slots=True, kw_only=True)
 class Fusion:
-    """A `Fusion` turns a recording's depth images into one surface."""
+    """One surface out of a recording's depth images."""
 
     align: bool
     """Whether views are aligned to the surface, or placed at the robot's poses."""
     in_hand: bool
     """Whether the object is in the hand, or on a table."""
-    guesses: bool = False
-    """Whether the model has what symmetries say of sides that no view has shown."""
-    reconstruction: "Reconstruction | InHandReconstruction | None" = None
+    reconstruction: "Reconstruction | None" = None
     """None before the object was found."""
+    first: "View | None" = None
+    """The first view of the object."""
     images: int = 0
     """Number of depth images until now."""
     skipped: "Counter[str]" = field(default_factory=Counter)
@@ -124,15 +117,14 @@ class Fusion:
     fitted: int = 0
     """Number of depth images that fitted the surface."""
 
-    def add_recording(self, recording: "Recording", rig: "Rig", watch: "Callable[[Fusion], None]") -> None:
+    def add_recording(self, recording: "Recording", rig: "Rig", move: Callable[..., None]) -> None:
         """Fuses the depth images of a recording; raises InvalidInput where there are none."""
         import numpy as np
 
         from handsight import se3
         from handsight.recording.robot_images import in_hand_views, views_of
-        from handsight.vision.reconstruction.grips import InHandReconstruction
         from handsight.vision.reconstruction.reconstruct import Reconstruction
-        from handsight.vision.reconstruction.segmentation import on_table
+        from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
 
         with_depth = (each for each in recording.observations() if each.depth is not None)
         first = next(with_depth, None)
@@ -143,7 +135,7 @@ class Fusion:
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None and not isinstance(view, str):
                 if self.in_hand:
-                    self.reconstruction = InHandReconstruction(camera)
+                    self.reconstruction = Reconstruction(camera, IN_HAND_BOUNDS)
                 elif (found := on_table(camera, view.depth)) is None:
                     view = "no object on a table"
                 else:
@@ -153,18 +145,19 @@ class Fusion:
                 self.skipped[str(view)] += 1
             else:
                 placed = replace(view, T_camera_object=view.T_camera_object @ T_reference_object)
+                self.first = self.first or placed
                 self.fitted += self.reconstruction.grow(placed, estimate=self.align) is not None
             self.images += 1
-            watch(self)
+            move(None, f"{self.images} images, {self.views} fused")
 
-    def model(self) -> "tuple[ReconstructedModel, list[str]]":
-        """Returns the object's model, and sentences about it; raises InvalidInput where too little was measured."""
+    def surface(self) -> "tuple[SurfacePoints, list[str]]":
+        """Returns the object's surface, and sentences about it; raises InvalidInput where too little was measured."""
         import numpy as np
 
-        from handsight.vision.reconstruction.completion import closed, one_object, share_observed
-        from handsight.vision.reconstruction.grips import InHandReconstruction
+        from handsight.vision.reconstruction.parts import above_table, in_fingers, share_observed
 
-        min_views, min_points = 5, 100
+        min_views = 5
+        min_points = 100
         if self.reconstruction is None:
             where = "in the hand" if self.in_hand else "on a table"
             came = f"none in {self.images} depth images{self.reasons}"
@@ -177,21 +170,23 @@ class Fusion:
         misfits = self.images - self.skipped.total() - self.fitted
         used = f"{self.views} views fused of {self.images} depth images, {misfits} did not fit"
         sentences = [used + (f"; left out{self.reasons}" if self.skipped else "")]
-        if isinstance(self.reconstruction, InHandReconstruction):
-            volume, surface, grips = self.reconstruction.merged()
-            sentences += grips
-        else:
-            volume = self.reconstruction.volume
-            surface = one_object(volume.surface(), volume, table=True)
+        volume = self.reconstruction.volume
+        tips = None if self.first is None else self.first.tips_object
+        surface = above_table(volume) if tips is None else in_fingers(volume, tips)
         if len(surface.points) < min_points:
             hint = "(do depth, intrinsics and the camera's pose belong together?)"
             expected = f"expected a surface of at least {min_points} points"
             raise InvalidInput(f"recording: {expected}, got {len(surface.points)} {hint}")
-        model = closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
-        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-        observed, guessed = 100 * share_observed(surface, volume), "; ".join(model.guesses) or "nothing"
-        shown = f"{size} mm, at most {observed:.0f} % of the closed surface measured; guessed: {guessed}"
-        return model, [*sentences, shown]
+        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(surface.points, axis=0))
+        shown = (
+            f"{size} mm, at most {100 * share_observed(surface, volume):.0f} % of the closed surface measured"
+        )
+        return surface, [*sentences, shown]
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell of the volume [m]; 0 before the object was found."""
+        return self.reconstruction.volume.grid.cell if self.reconstruction else 0.0
 
     @property
     def views(self) -> int:
@@ -203,7 +198,3 @@ class Fusion:
         """Why images were left out, in brackets, or nothing."""
         counted = ", ".join(f"{reason}: {count}" for reason, count in self.skipped.most_common())
         return f" ({counted})" if counted else ""
-
-    def progress(self) -> list[tuple[str, str]]:
-        """Returns names and values that show the progress."""
-        return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(self.views))]

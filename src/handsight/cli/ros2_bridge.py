@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from handsight.cli.options import ObjectName, Rate, renamed
+from handsight.cli.options import ObjectName, Rate
 from handsight.cli.terminal import announce_compiling, say
 
 
@@ -25,12 +25,10 @@ def ros2_bridge(
             help="Wait 0.2 s for late messages, so that the poses equal those of `handsight track` for a recording.",
         ),
     ] = False,
-    former_as_recorded: Annotated[bool, Option("--equal/--no-equal", hidden=True)] = False,
     port: Annotated[
         int,
         Option(min=0, max=65535, help="Port of a page that shows the tracker in the browser. 0: no page."),
     ] = 0,
-    former_port: Annotated[int, Option("--view", min=0, max=65535, hidden=True)] = 0,
 ) -> None:
     """Track an object in a robot's hand over ROS 2; ROS need not be installed on this machine.
 
@@ -52,10 +50,9 @@ def ros2_bridge(
     from handsight.live.node import live_tracker, work
     from handsight.viewer import Viewer
 
-    as_recorded = renamed(as_recorded, former_as_recorded, ("--as-recorded", "--equal"))
     live = live_tracker(rig, object, encoding="cdr", rate=rate, images=images, equal=as_recorded)
     bridge = Bridge(live, Network(), say)
-    if port := renamed(port, former_port, ("--port", "--view")):
+    if port:
         viewer = Viewer(live.tracker, port=port)
         live.show = viewer.update
         say(f"look at {viewer.address}")

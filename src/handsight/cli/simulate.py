@@ -1,16 +1,15 @@
 """`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
-import contextlib
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from handsight.cli.options import DEPTH_CAMERAS, rig_beside
-from handsight.cli.terminal import announce_compiling, bar, check_plots, say
+from handsight.cli.options import DEPTH_CAMERAS, refuse, rig_beside
+from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput, NotFound
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def simulate(
     motion: Annotated[
         str,
         Option(
-            metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
+            metavar="KIND",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
             "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
             "slips.",
@@ -51,13 +50,13 @@ def simulate(
     sensors: Annotated[
         str,
         Option(
-            metavar="wrench|xela|paxini|inspire",
-            help="What is in the fingertips, and in the palm with --skin: force/torque sensors, or a maker's taxels, "
-            "in its driver's messages.",
+            metavar="KIND",
+            help="What is in the fingertips, and in the palm with --skin: `wrench`, force/torque sensors, or a maker's "
+            "kind of taxels: `xela`, `paxini`, `inspire`.",
         ),
     ] = "wrench",
     depth_camera: Annotated[
-        str, Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
+        str, Option(metavar="KIND", help=f"How the camera measures depth: {DEPTH_CAMERAS}.")
     ] = "structured_light",
     world: Annotated[
         str,
@@ -80,6 +79,14 @@ def simulate(
             help="Rig file of your own hand, with a force/torque sensor in each fingertip. Default: a Shadow hand."
         ),
     ] = None,
+    joints: Annotated[
+        str,
+        Option(
+            metavar="driven|all",
+            help="Joints that are measured: driven, those with a motor, as drivers of hands with coupled joints "
+            "publish them; or all.",
+        ),
+    ] = "driven",
     blind: Annotated[
         bool,
         Option(
@@ -87,10 +94,6 @@ def simulate(
             help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
-    plot: Annotated[
-        Path | None,
-        Option(help="File for a picture of the search of --blind: the belief after each touch."),
-    ] = None,
     grasp: Annotated[
         Path | None,
         Option(
@@ -101,8 +104,10 @@ def simulate(
     """Record a simulated hand that grasps an object; its true pose in the palm is on a topic of its own.
 
     The hand is the Shadow hand, or any URDF or MJCF hand of a --rig: its grasps are searched as well, nothing is known
-    of it but its file and its fingertips. Joints have position servos of 3 N m/rad, coupled ones too; camera, table and
-    world are the simulation's. Where no grasp holds, the reasons are printed, and the exit code is 1.
+    of it but its file and its fingertips. Joints have position servos of 3 N m/rad. Coupled ones follow those that they
+    are coupled to, each off by a constant angle of the size that the rig states (`coupled_joint_deg`), and are not
+    measured, but with `--joints all`. Camera, table and world are the simulation's. Where no grasp holds, the reasons
+    are printed, and the exit code is 1.
 
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
@@ -121,7 +126,7 @@ def simulate(
     handsight simulate can --output can.mcap
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
     handsight simulate box --rig my.rig.yaml
-    handsight simulate can --blind --plot search.png
+    handsight simulate can --blind
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
     handsight simulate box --sensors xela --nuisance taxel_dead=2
     handsight simulate box --world harsh --seed 1
@@ -132,6 +137,7 @@ def simulate(
     from handsight.rig import Rig
     from handsight.simulation import Nuisances, Scenario, constant_errors, read_grasp
     from handsight.simulation.scene import scene
+    from handsight.simulation.world import coupling_errors
 
     announce_compiling()
     if world not in ("usual", "harsh"):
@@ -139,37 +145,40 @@ def simulate(
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     own = None if rig is None else Rig.from_file(rig)
     if own is not None and world == "usual":  # errors as the rig states them
-        fingers, of_joints = own.fingers.values(), {"joint_offset": own.sigma_joint_offset}
-        worst = {f"{of}_noise": max(getattr(f, f"sigma_{of}") for f in fingers) for of in ("force", "torque")}
-        start = dataclasses.replace(start, **of_joints, joint_noise=own.sigma_joint, **worst)
-    chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera, "sensors": sensors}
-    chosen |= {"nuisances": nuisances(nuisance or [], start), "images": images, "skin": skin, "rig": own}
-    scenario = Scenario(object=object, seed=seed, **chosen)
-    for option, given, which in (
-        ("images", images, "has no camera"),
-        ("sensors", sensors != "wrench", "has force/torque sensors"),
-        ("rig", own is not None, "has the Shadow hand"),
-    ):
-        if blind and given:
-            raise InvalidInput(f"--{option}: expected none with --blind, which {which}, got some")
+        fingers = own.fingers.values()
+        start = dataclasses.replace(
+            start,
+            joint_offset=own.sigma_joint_offset,
+            joint_noise=own.sigma_joint,
+            coupled_joint=own.sigma_coupled,
+            force_noise=max(finger.sigma_force for finger in fingers),
+            torque_noise=max(finger.sigma_torque for finger in fingers),
+        )
+    fields: dict[str, Any] = {"motion": motion, "joints": joints}
+    fields |= {"depth_camera": depth_camera, "sensors": sensors}
+    drawn = nuisances(nuisance or [], start)
+    scenario = Scenario(
+        object=object, seed=seed, nuisances=drawn, images=images, skin=skin, rig=own, **fields
+    )
+    if blind:
+        refuse("--blind", images=images, sensors=sensors != "wrench", rig=own)
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
-    if plot is not None and not blind:
-        raise InvalidInput("--plot: expected --blind, whose search it shows")
-    check_plots(plot)
     if grasp is None:
         used = search(scenario, path)
     else:
-        used = read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
-    samples, dropped = record(scenario, path, used, blind=blind, plot=plot)
+        used = read_grasp(grasp, scene(scenario.object, rig=own).hand.grasping if own else None)
+    samples, dropped = record(scenario, path, used, blind=blind)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
         beside = path.with_suffix(".world.json")
-        drawn = dataclasses.asdict(constant_errors(scenario.nuisances, seed))
-        content = {"seed": seed, "nuisances": dataclasses.asdict(scenario.nuisances)}
-        content["drawn"] = {name: value.tolist() for name, value in drawn.items()}
+        built = scene(scenario.object, rig=own)
+        errors = dataclasses.asdict(constant_errors(drawn, seed, len(built.joints), built.hand))
+        content: dict[str, Any] = {"seed": seed, "nuisances": dataclasses.asdict(drawn)}
+        content["drawn"] = {name: value.tolist() for name, value in errors.items()}
+        content["drawn"] |= {"coupled_joints": coupling_errors(drawn, seed, own)}
         with text_file(beside) as file:
             file.write(json.dumps(content, indent=1) + "\n")
         say(f"wrote {beside}: what is wrong in this world, which the rig does not know")
@@ -215,10 +224,6 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
         if not equals or name not in names:
             came = f"{setting!r}{checks.suggestion(name, names)}"
             raise InvalidInput(f"--nuisance: expected none or NAME=VALUE, got {came}")
-        # A rig file cannot say these: see `handsight.simulation.model_of`.
-        if name in ("object_dent", "object_scan"):
-            expected = "expected one of the recording, got one of the object's model"
-            raise InvalidInput(f"--nuisance {name}: {expected}")
         try:
             chosen = dataclasses.replace(chosen, **{name: float(value)})
         except ValueError as error:
@@ -227,18 +232,15 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
     return chosen
 
 
-def record(
-    scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool, plot: Path | None
-) -> tuple[int, bool]:
+def record(scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool) -> tuple[int, bool]:
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
-    `blind`: a finger searches for the object first, and each touch is reported; `plot`: file for a picture of them.
-    The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
+    `blind`: a finger searches for the object first, and each touch is reported. The rig is written beside the
+    recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
-    from handsight.simulation.taxels import messages
     from handsight.simulation.world import pulls
 
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
@@ -247,64 +249,33 @@ def record(
     if blind and spec.mesh is not None:  # the search does not distinguish what touch cannot tell
         spec = dataclasses.replace(spec, symmetries="find")
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: spec})
-    samples, dropped, skin = 0, False, None
+    samples = 0
+    dropped = False
     with (
         RecordingWriter(path, rig) as writer,
         bar("simulating") as advance,
-        search_report(Path(scenario.object).stem, advance, plot) as watch,
     ):
         write_rig(rig, rig_beside(path))
-        searched = simulate_touch_search(scenario, grasp, watch)
+        searched = simulate_touch_search(scenario, grasp, say_touch)
         for sample in searched if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
-            if scenario.sensors != "wrench":  # the same reading is sent once
-                if observation.skin is not skin:
-                    skin = observation.skin
-                    for topic, kind, fields in messages(scenario.sensors, skin, observation.stamp):
-                        writer.append(topic, kind, observation.stamp, **fields)
-                observation = dataclasses.replace(observation, skin={})
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
             if pulls(scenario.motion):
                 write_slips(writer, observation.stamp, sample, rig)
-            samples, dropped = samples + 1, sample.dropped
+            samples += 1
+            dropped = sample.dropped
     return samples, dropped
 
 
-@contextlib.contextmanager
-def search_report(
-    name: str, advance: Callable[..., None], plot: Path | None
-) -> "Iterator[Callable[[Belief, Array], None]]":
-    """Yields a function that reports the beliefs of a search by touch, one after the other.
-
-    At the end, after Ctrl-C and errors too, their picture is written to `plot`, unless that is None.
-    """
-    from handsight.search import symmetry_text, touch_text
-
-    beliefs, truths = list["Belief"](), list["Array"]()
-
-    def watch(belief: "Belief", T_world_object: "Array") -> None:
-        """Keeps a belief with the truth, and tells of it."""
-        beliefs.append(belief)
-        truths.append(T_world_object)
-        best, n = belief.modes[0], len(belief.touches)
-        if n:
-            say(touch_text(belief))
-        elif text := symmetry_text(belief.model):
-            say(f"{name}: {text}")
-        advance(None, f"touch {n + 1}, certain to {best.certainty:.2f}")
-        if best.is_certain:
-            say(f"found by {n} touches")
-            advance(None, "grasping")
-
-    try:
-        yield watch
-    finally:
-        if plot is not None and beliefs:
-            from handsight.viewer.search_figure import draw_search
-
-            draw_search(name, beliefs, truths[-1], plot)
-            say(f"wrote {plot}")
+def say_touch(belief: "Belief", T_world_object: "Array") -> None:
+    """Says what is known after each touch of a search."""
+    best = belief.modes[0]
+    number = len(belief.touches)
+    if number:
+        say(f"touch {number}: position ± {1e3 * best.sigma_position:.1f} mm, certain to {best.certainty:.2f}")
+    if best.is_certain:
+        say(f"found by {number} touches")
 
 
 def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
@@ -316,7 +287,8 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
 
     top = header(stamp, rig.frames["palm"])
     for finger, touch in sample.touches.items():
-        velocity, turn = parts("xyz", touch.velocity_palm[:3]), parts("xyz", touch.velocity_palm[3:])
+        velocity = parts("xyz", touch.velocity_palm[:3])
+        turn = parts("xyz", touch.velocity_palm[3:])
         twist = Message(linear=velocity, angular=turn)
         topic = f"{rig.topics.truth}/slip/{finger}"
         writer.append(topic, "geometry_msgs/msg/TwistStamped", stamp, header=top, twist=twist)
@@ -331,7 +303,8 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     mesh = Path(scenario.object)
     named = ObjectSpec(mesh=mesh) if mesh.suffix else ObjectSpec(name=scenario.object)
     spec = rig.objects.get(scenario.object) or named
-    n, k = scenario.nuisances, scenario.nuisances.object_scale
+    n = scenario.nuisances
+    k = n.object_scale
     if n.declared_mass:
         mass, sigma = declared_weight(n)
         spec = dataclasses.replace(spec, mass=mass, center_of_mass="homogeneous", sigma_center_of_mass=sigma)

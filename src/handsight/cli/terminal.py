@@ -1,10 +1,8 @@
 """Output for a person at a terminal (messages, progress, tables), and exit codes."""
 
 import contextlib
-import math
 import os
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,13 +11,18 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, InvalidInput, NotFound, NotWritten, printable
-from handsight.files import STREAMS, write_errors
+from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from rich.console import Console
     from rich.table import Table
 
-FAILED, WRONG_INPUT, CANNOT_WRITE, INTERRUPTED, NOBODY_READS = 1, 2, 74, 130, 141
+FAILED = 1
+WRONG_INPUT = 2
+CANNOT_WRITE = 74
+INTERRUPTED = 130
+NOBODY_READS = 141
 """Exit codes; the last two are those that a shell reports for SIGINT and SIGPIPE."""
 
 
@@ -53,7 +56,7 @@ def reopen_closed_streams() -> None:
 
     Reading from or writing to such a stream is then an ordinary error.
     """
-    for number, name in enumerate(STREAMS):
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             # The lowest free number is this one. Stdin is opened unreadable, stdout unwritable.
             os.open(os.devnull, (os.O_WRONLY, os.O_RDONLY, os.O_RDWR)[number])
@@ -69,20 +72,31 @@ def discard(stream: IO[str]) -> None:
 def announce_compiling() -> None:
     """Makes a terminal show which kernel is being compiled, a line that goes again; all take minutes."""
     if sys.stderr.isatty():
-        from handsight._kernels.runtime.kernel_cache import on_compile
+        from handsight._kernels.jit import on_compile
 
         text = "compiling handsight's kernels, once on this machine: "
         on_compile[:] = [lambda name: os.write(2, f"\r\x1b[2K{name and text + name}".encode())]
 
 
-def check_plots(plot: Path | None) -> None:
-    """Raises MissingExtra where a picture is wanted without matplotlib, and InvalidInput for a format that it lacks."""
-    if plot is not None:
+def check_outputs(answers: Path | None, picture: Path | None, *read: object) -> None:
+    """Raises InvalidFile where an output would overwrite another one or what is read, and for a picture as which
+    matplotlib does not write it InvalidInput, MissingExtra."""
+    place = sys.stdout if is_stdout(answers) else answers
+    growing = None if answers is None else part_of(answers)
+    for source in read:
+        for output, what in (
+            (place, "the answers"),
+            (growing, "the first answers"),
+            (picture, "the picture"),
+        ):
+            check_not_overwritten(output, what, source, "what is read")
+    check_not_overwritten(picture, "the picture", place, "the answers")
+    if picture is not None:
         from handsight.viewer.correction_figures import new_figure
 
         known = new_figure().canvas.get_supported_filetypes()
-        if plot.suffix[1:].lower() not in known:
-            raise InvalidInput(f"--plot: expected a name that ends in .png, .pdf or .svg, got {plot.name}")
+        if picture.suffix[1:].lower() not in known:
+            raise InvalidInput(f"--plot: expected a name that ends in .png, .pdf or .svg, got {picture.name}")
 
 
 @contextlib.contextmanager
@@ -104,31 +118,6 @@ def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
         )
 
 
-@contextlib.contextmanager
-def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterator[Callable[..., None]]:
-    """Yields a function that shows the names and values that `rows` returns for its arguments.
-
-    It refreshes them at most five times a second; without a terminal it does nothing.
-    """
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
-    from rich.live import Live
-
-    shown_at, refresh_seconds = -math.inf, 0.2
-    with Live(console=_messages(), auto_refresh=False, transient=True) as live:
-
-        def show(*now: Any) -> None:
-            """Replaces the rows, unless that happened less than `refresh_seconds` ago."""
-            nonlocal shown_at
-            if time.monotonic() - shown_at >= refresh_seconds:
-                shown_at = time.monotonic()
-                style = {"title": title, "title_justify": "left", "show_header": False, "box": None}
-                live.update(table(("", ""), rows(*now), texts=2, **style), refresh=True)
-
-        yield show
-
-
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 1, **style: Any) -> "Table":
     """Returns a table whose first `texts` columns are left-aligned, as texts, and whose others are right-aligned.
 
@@ -142,6 +131,14 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int =
     for row in rows:
         built.add_row(*map(printable, row))
     return built
+
+
+def millimetres(lengths: "ArrayLike", digits: int = 1) -> str:
+    """Returns lengths [m] as text in millimetres, a comma between them."""
+    import numpy as np
+
+    rounded = np.round(1000 * np.atleast_1d(lengths), digits) + 0.0  # no -0
+    return ", ".join(f"{value:.{digits}f}" for value in rounded)
 
 
 def plain_table(
@@ -158,21 +155,37 @@ def print_out(*parts: "str | Table", **options: Any) -> None:
     Console(markup=False, highlight=False).print(*parts, **options)
 
 
+def is_stdout(path: Path | None) -> bool:
+    """Returns whether a path stands for stdout."""
+    return path is None or str(path) == "-"
+
+
 @contextlib.contextmanager
-def output_stream(path: Path | None) -> Iterator[IO[str]]:
-    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten.
+def output_lines(path: Path | None) -> Iterator[Callable[[Iterable[str]], None]]:
+    """Yields a function that writes lines at once, to a new text file or to stdout; raises NotWritten.
 
     The file is `part_of(path)` while it grows. It gets its name at the end, whatever the reason, unless it could not be
     written: its last line may be cut.
     """
-    if path is None or str(path) == "-":
-        yield sys.stdout
+    stream: IO[str] = sys.stdout
+    name = stream_name(stream)
+
+    def write(lines: Iterable[str]) -> None:
+        with write_errors(name):
+            stream.writelines(f"{line}\n" for line in lines)
+            stream.flush()
+
+    if path is None or is_stdout(path):
+        yield write
         return
-    growing, final, complete = part_of(path), Path(os.path.realpath(path)), True
+    name = str(path)
+    growing = part_of(path)
+    final = Path(os.path.realpath(path))
+    complete = True
     with write_errors(path):
         try:
-            with open(growing, "w", encoding="utf-8") as file:
-                yield file
+            with open(growing, "w", encoding="utf-8") as stream:
+                yield write
         except (OSError, NotWritten):
             complete = False
             raise
@@ -189,7 +202,7 @@ def part_of(path: Path) -> Path:
 
 @dataclass(slots=True)
 class End:
-    """An `End` says how a part of a command ended: normally if the exit code is 0."""
+    """How a part of a command ended: normally if the exit code is 0."""
 
     exit_code: int = 0
     error: Exception | None = None
@@ -209,11 +222,15 @@ def kept_going() -> Iterator[End]:
     except KeyboardInterrupt:
         end.exit_code = INTERRUPTED
     except HandsightError as error:
-        end.exit_code, end.error, end.message = exit_code(error), error, f"handsight: {error}"
+        end.exit_code = exit_code(error)
+        end.error = error
+        end.message = f"handsight: {error}"
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         fault = f"{type(error).__name__} in {Path(place.filename).name}, line {place.lineno}: {error}"
-        end.exit_code, end.error, end.message = FAILED, error, f"handsight: internal error: {fault}"
+        end.exit_code = FAILED
+        end.error = error
+        end.message = f"handsight: internal error: {fault}"
 
 
 def exit_code(error: HandsightError) -> int:

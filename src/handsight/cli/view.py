@@ -19,8 +19,6 @@ def view(
     rig: options.RigPath = None,
     object: options.ObjectName = None,
     rate: options.Rate = None,
-    answer: options.Answer = "best",
-    samples: options.Samples = 0,
     outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
     port: Annotated[
@@ -44,10 +42,10 @@ def view(
     from handsight.tracking.replay import Tally
     from handsight.viewer.page import Page, require_viser
     from handsight.viewer.player import Player
-    from handsight.viewer.timeline import Timeline, curves, follow
+    from handsight.viewer.timeline import Curves, Timeline, curves, follow
 
     require_viser()
-    settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
+    settings = tracker_settings(rate=rate, outside=outside, images=images)
     with contextlib.suppress(KeyboardInterrupt):
         # A `track.mcap`, which has only poses, is a result and not a recording.
         is_mcap = recording.suffix == ".mcap" and recording.is_file()
@@ -62,9 +60,14 @@ def view(
         with contextlib.closing(page), contextlib.ExitStack() as stack:
             taken = "" if page.port == port else f" ({port} is taken)"
             say(f"look at {page.address}{taken}; Ctrl-C ends")
-            timeline, tally = Timeline(), Tally()
+            timeline = Timeline()
+            tally = Tally()
             opened, tracker = stack.enter_context(run.opened())
-            player = Player(page, timeline, lambda: curves(timeline.moments, run.model, Truths(opened.truth)))
+
+            def plotted() -> Curves:
+                return curves(list(timeline.moments), timeline.begin, run.model, Truths(opened.truth))
+
+            player = Player(page, timeline, plotted)
             stack.enter_context(contextlib.closing(player))
             player.start()
             try:

@@ -25,13 +25,13 @@ from handsight.representation import short_repr
 
 Reading = Literal["on_sensor", "on_tip"]
 
-GRAVITY_RANGE = (1.5, 30.0)
+GRAVITY_RANGE = (1.5, 30)
 """Lengths that gravity can have [m/s²]: the Moon's is 1.6, Jupiter's 25; a unit vector is outside."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrenchCalibration:
-    """A `WrenchCalibration` is the bias of a force/torque sensor and the mass on it, in the sensor's frame."""
+    """Bias of a force/torque sensor and the mass on it, in the sensor's frame."""
 
     bias_force: Array
     """(3,) force reading without load [N]."""
@@ -54,16 +54,16 @@ class WrenchCalibration:
 
     def __post_init__(self) -> None:
         """Raises an InvalidInput that names the first wrong field."""
-        values: dict[str, object] = {
-            "bias_force": checks.load(self.bias_force, "bias_force", (3,)),
-            "bias_torque": checks.load(self.bias_torque, "bias_torque", (3,)),
-            "mass": float(checks.finite(self.mass, "mass", ())),
-            "center_of_mass": checks.position(self.center_of_mass, "center_of_mass", (3,)),
-        }
-        if not 0 <= values["mass"] <= 100:  # type: ignore[operator]
-            raise InvalidInput(f"mass: expected kilograms from 0 to 100, got {values['mass']:g}")
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        mass = float(checks.finite(self.mass, "mass", ()))
+        if not 0 <= mass <= 100:
+            raise InvalidInput(f"mass: expected kilograms from 0 to 100, got {mass:g}")
+        object.__setattr__(self, "mass", mass)
+        for name, check in (
+            ("bias_force", checks.load),
+            ("bias_torque", checks.load),
+            ("center_of_mass", checks.position),
+        ):
+            object.__setattr__(self, name, check(getattr(self, name), name, (3,)))
         _sign(self.reading)
 
 
@@ -76,7 +76,8 @@ def calibrate_wrench(
     the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x, ±y, ±z are
     best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not above zero.
     """
-    F, M = checks.load(forces, "forces", (None, 3)), checks.load(torques, "torques", (None, 3))
+    F = checks.load(forces, "forces", (None, 3))
+    M = checks.load(torques, "torques", (None, 3))
     G = checks.finite(gravities, "gravities", (None, 3))
     if not len(F) == len(M) == len(G):
         raise InvalidInput(f"forces, torques, gravities: expected one length, got {[len(F), len(M), len(G)]}")
@@ -92,18 +93,25 @@ def calibrate_wrench(
             raise InvalidInput(f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {came}")
     length = float(np.sqrt((lengths**2).mean()))
     g = sign * G / length
-    (*bias_force, by_mass), residual_force, condition_force = _fit(g[:, :, None], F, G)
-    x_torque, residual_torque, condition_torque = _fit(-se3.skew(g), M, G)
-    mass = float(by_mass) / length
+    x_force, residual_force, condition_force = _fit(g[:, :, None], F)
+    x_torque, residual_torque, condition_torque = _fit(-se3.skew(g), M)
+    mass = float(x_force[3]) / length
     if not mass > 0:
         raise InvalidInput(
             f"forces: expected readings that give a mass above 0, got {mass:.3g} kg; for "
             f"reading={reading!r} a tip at rest reads its weight {'along' if sign > 0 else 'against'} "
             f"gravity, else pass the other reading ({', '.join(get_args(Reading))})"
         )
-    center, condition = x_torque[3:] / (mass * length), max(condition_force, condition_torque)
-    known = np.array(bias_force), x_torque[:3], mass, center
-    return WrenchCalibration(*known, residual_force, residual_torque, condition, reading)
+    return WrenchCalibration(
+        bias_force=x_force[:3],
+        bias_torque=x_torque[:3],
+        mass=mass,
+        center_of_mass=x_torque[3:] / (mass * length),
+        residual_force=residual_force,
+        residual_torque=residual_torque,
+        condition=max(condition_force, condition_torque),
+        reading=reading,
+    )
 
 
 def compensate(
@@ -117,31 +125,33 @@ def compensate(
     stack: tuple[int | None, ...] = (3,) if checks.ndim(forces) == 1 else (None, 3)
     if not isinstance(calibration, WrenchCalibration):
         raise InvalidInput(f"calibration: expected a WrenchCalibration, got {type(calibration).__name__}")
-    F, M = checks.load(forces, "forces", stack), checks.load(torques, "torques", stack)
+    F = checks.load(forces, "forces", stack)
+    M = checks.load(torques, "torques", stack)
     G = checks.finite(gravities, "gravities", (3,) if checks.ndim(gravities) == 1 else stack)
-    if np.abs(G).max(initial=0.0) > GRAVITY_RANGE[1]:
-        raise InvalidInput(f"gravities: expected m/s² within {GRAVITY_RANGE[1]:g}, got {np.abs(G).max():g}")
+    checks.within(G, "gravities", GRAVITY_RANGE[1], "m/s²")
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
-        shapes = f"{F.shape}, {M.shape}, {G.shape}"
-        raise InvalidInput(f"forces, torques, gravities: expected one shape, got {shapes}")
+        raise InvalidInput(
+            f"forces, torques, gravities: expected one shape, got {F.shape}, {M.shape}, {G.shape}"
+        )
     return compensated(F, M, G, calibration)
 
 
 def compensated(F: Array, M: Array, gravities: Array, calibration: WrenchCalibration) -> tuple[Array, Array]:
     """Returns `compensate` of arrays that are not checked."""
-    sign, weight = 1.0 if calibration.reading == "on_sensor" else -1.0, calibration.mass * gravities
-    torque = sign * (M - calibration.bias_torque) - se3.cross(calibration.center_of_mass, weight)
+    sign = _sign(calibration.reading)
+    weight = calibration.mass * gravities
+    torque = sign * (M - calibration.bias_torque) - np.cross(calibration.center_of_mass, weight)
     return sign * (F - calibration.bias_force) - weight, torque
 
 
 def _sign(reading: str) -> float:
     if not isinstance(reading, str) or reading not in get_args(Reading):
-        came = repr(checks.brief(reading))
-        raise InvalidInput(f"reading: expected one of {', '.join(get_args(Reading))}, got {came}")
+        names = ", ".join(get_args(Reading))
+        raise InvalidInput(f"reading: expected one of {names}, got {checks.brief(reading)!r}")
     return 1.0 if reading == "on_sensor" else -1.0
 
 
-def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array, float]:
+def _fit(slopes: Array, readings: Array) -> tuple[Array, Array, float]:
     """Returns the coefficients of a bias and of `slopes` (n, 3, k), the residuals' sigmas (3,), the condition number.
 
     Residuals are fewer degrees of freedom than readings: each coefficient takes one, a third of it from each axis.
@@ -150,13 +160,9 @@ def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array
     design = np.concatenate([np.broadcast_to(np.eye(3), (len(slopes), 3, 3)), slopes], axis=2)
     x, _, _, singular = np.linalg.lstsq(design.reshape(-1, design.shape[2]), readings.ravel(), rcond=None)
     if singular[-1] * 50 < singular[0]:
-        directions = gravities / np.linalg.norm(gravities, axis=1, keepdims=True)
-        spread = np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[1]
-        spread_deg = np.rad2deg(spread / np.sqrt(len(gravities)))
         raise InvalidInput(
-            f"gravities: expected orientations that turn about two axes, got {len(gravities)} with a spread "
-            f"of {spread_deg:.2g} degrees about the second (conditioning "
-            f"{singular[0] / max(singular[-1], 1e-300):.2g}, at most 50)"
+            "gravities: expected orientations that turn about two axes, with a condition number of at most 50, got "
+            f"{singular[0] / max(singular[-1], 1e-300):.2g}"
         )
     freedom = len(readings) - design.shape[2] / 3
     left = np.sqrt(((readings - design @ x) ** 2).sum(axis=0) / freedom)

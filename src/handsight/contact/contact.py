@@ -1,8 +1,9 @@
 """The contact of a fingertip and the object, the reason where there is none, and a batch of both."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, get_args, overload
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
 
 
 class Reason(IntEnum):
-    """A `Reason` is the result of sensing one wrench; its numbers are those in `ContactBatch.reasons`."""
+    """Result of sensing one wrench; its numbers are those in `ContactBatch.reasons`."""
 
     CONTACT = 0  # the wrench is that of a contact
     FREE = 1  # the force is weaker than the tip's `min_force`
@@ -33,7 +34,7 @@ REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_arg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """A `Contact` is where one fingertip touches the object, in the tip's (surface's) frame unless `moved`."""
+    """Where one fingertip touches the object, in the tip's (surface's) frame unless `moved`."""
 
     point: Array
     """(3,) position on the tip's surface [m]."""
@@ -54,38 +55,20 @@ class Contact:
     @property
     def force_tangential(self) -> Array:
         """The part (3,) of `force` in the tangent plane [N]."""
-        return np.asarray(self.force - self.force_normal * self.normal, dtype=np.float64)
+        return self.force - self.force_normal * self.normal
 
     def moved(self, T_new_old: Array) -> "Contact":
         """Returns the same contact in another frame; `T_new_old` (4, 4) maps coordinates of this frame to it."""
         T = se3.check(T_new_old, "T_new_old")
-        R, covariance = T[:3, :3], symmetric(se3.rotate_covariance(T[:3, :3], self.covariance))
+        R = T[:3, :3]
+        covariance = symmetric(se3.rotate_covariance(T[:3, :3], self.covariance))
         vectors = R @ self.point + T[:3, 3], R @ self.normal, R @ self.force
         return Contact(*vectors, self.force_normal, self.torque, covariance)
 
 
-_new = object.__new__
-_point, _normal, _force, _force_normal, _torque, _covariance = (
-    vars(Contact)[name].__set__ for name in Contact.__slots__
-)
-
-
-def new_contact(vectors: Array, force_normal: float, torque: float, covariance: Array) -> Contact:
-    """Returns a `Contact` in half the time of its `__init__`; `vectors` (3, 3) are its point, normal and force."""
-    contact = _new(Contact)
-    # Each by its index: unpacking an array takes three times as long.
-    _point(contact, vectors[0])
-    _normal(contact, vectors[1])
-    _force(contact, vectors[2])
-    _force_normal(contact, force_normal)
-    _torque(contact, torque)
-    _covariance(contact, covariance)
-    return contact
-
-
 @dataclass(frozen=True, slots=True)
 class NoContact:
-    """A `NoContact` says why a wrench is that of no contact; it is false as a truth value."""
+    """Why a wrench is that of no contact; it is false as a truth value."""
 
     reason: ReasonName
     """One of the names of `Reason`; `invalid` occurs in batches only."""
@@ -94,9 +77,9 @@ class NoContact:
         return False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ContactBatch:
-    """A `ContactBatch` has a reason for each of n wrenches, and the k contacts among them, in the tip's frame.
+    """A reason for each of n wrenches, and the k contacts among them, in the tip's frame.
 
     `len(batch)` is n and `batch[i]` is wrench i's `Contact` or `NoContact`. The arrays hold the contacts
     only, so no row of them stands for a missing one.
@@ -107,73 +90,60 @@ class ContactBatch:
     records: NDArray[np.void]  # (k,) the contacts as records of point, normal, force, force_normal, torque
     fingertip: Fingertip  # the tip that sensed the wrenches
     sigmas: Array  # (6,) standard deviation per axis of a reading's force [N] and torque [N m]
-    _covariances: Array | None = field(default=None, init=False, repr=False)
 
     __repr__ = short_repr
 
     @property
     def points(self) -> Array:
         """(k, 3) positions on the tip [m]."""
-        return np.asarray(self.records["point"])
+        return self.records["point"]
 
     @property
     def normals(self) -> Array:
         """(k, 3) unit vectors in which the object pushes."""
-        return np.asarray(self.records["normal"])
+        return self.records["normal"]
 
     @property
     def forces(self) -> Array:
         """(k, 3) forces of the object on the tip [N]."""
-        return np.asarray(self.records["force"])
+        return self.records["force"]
 
     @property
     def forces_normal(self) -> Array:
         """(k,) normal forces [N], above zero."""
-        return np.asarray(self.records["force_normal"])
+        return self.records["force_normal"]
 
     @property
     def forces_tangential(self) -> Array:
         """(k, 3) parts of `forces` in the tangent planes [N]."""
-        return np.asarray(self.forces - self.forces_normal[:, None] * self.normals)
+        return self.forces - self.forces_normal[:, None] * self.normals
 
     @property
     def torques(self) -> Array:
         """(k,) local torques about the normals [N m]."""
-        return np.asarray(self.records["torque"])
+        return self.records["torque"]
 
-    @property
+    @cached_property
     def covariances(self) -> Array:
         """(k, 6, 6) covariances of (point [m], normal) from the sensor's noise alone; computed at the first use."""
-        if self._covariances is None:
-            from handsight._kernels.touch import sensing
+        from handsight._kernels.touch import sensing
 
-            out = np.empty((len(self.rows), 6, 6))
-            sensing.covariances(self.records, self.fingertip.record, self.sigmas, out)
-            object.__setattr__(self, "_covariances", out)
-            return out
-        return self._covariances
+        out = np.empty((len(self.rows), 6, 6))
+        sensing.covariances(self.records, self.fingertip.record, self.sigmas, out)
+        return out
 
     def __len__(self) -> int:
         return len(self.reasons)
 
-    @overload
-    def __getitem__(self, i: int) -> Contact | NoContact: ...
-    @overload
-    def __getitem__(self, i: slice) -> list[Contact | NoContact]: ...
-    def __getitem__(self, i: int | slice) -> Contact | NoContact | list[Contact | NoContact]:
-        if isinstance(i, slice):
-            return [self[j] for j in range(*i.indices(len(self)))]
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"wrench {i} of {len(self)}")
-        i = i % len(self)
+    def __getitem__(self, i: int) -> Contact | NoContact:
         name = REASON_NAMES[self.reasons[i]]
         if name != "contact":
             return NoContact(name)
-        k = int(np.searchsorted(self.rows, i))
+        k = int(np.searchsorted(self.rows, i % len(self)))
         point, normal, force, force_normal, torque = self.records[k]
         return Contact(point, normal, force, float(force_normal), float(torque), self.covariances[k])
 
 
 def symmetric(matrices: Array) -> Array:
     """Returns matrices (..., m, m) made exactly symmetric."""
-    return np.asarray((matrices + np.swapaxes(matrices, -1, -2)) / 2, dtype=np.float64)
+    return (matrices + np.swapaxes(matrices, -1, -2)) / 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,13 @@ from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
+SIGMA_POINT, SIGMA_NORMAL = 1e-3, 0.1
+"""Standard deviations of contacts that are given without [m], [rad]."""
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Contacts:
-    """`Contacts` are the points where the hand touches the object, with or without normals, and their covariances."""
+    """Points where the hand touches the object, with or without normals, and their covariances."""
 
     points_palm: Array
     """(n, 3) positions, n ≥ 1 [m]."""
@@ -31,8 +34,6 @@ class Contacts:
     covariance: Array
     """(n, 6, 6) covariance of (point [m], normal) along the palm's axes. It is zero along the normal, as a unit normal
     varies in its tangent plane only, and in the whole normal block where there is no normal."""
-    of_residual: Mask
-    """(n,) whether the covariance is that of the residuals, with the model's error in it already."""
     group: Indices
     """(n,) the number of the group whose error each contact shares, an index of `shared_covariance`; -1: of none."""
     shared_covariance: Array
@@ -44,11 +45,10 @@ class Contacts:
         self,
         points_palm: ArrayLike,
         normals_palm: ArrayLike | Sequence[ArrayLike | None] | None = None,
-        sigma_point: ArrayLike = 1e-3,
-        sigma_normal: ArrayLike = 0.1,
+        sigma_point: ArrayLike = SIGMA_POINT,
+        sigma_normal: ArrayLike = SIGMA_NORMAL,
         covariance: ArrayLike | None = None,
         *,
-        of_residual: ArrayLike = False,
         group: ArrayLike | None = None,
         shared_covariance: ArrayLike | None = None,
     ) -> None:
@@ -57,9 +57,7 @@ class Contacts:
         `sigma_point` [m] and `sigma_normal` [rad], a number or (n,), are one standard deviation per axis (of
         a point's x; of a normal's angle about each of two tangent axes). `covariance` (n, 6, 6), positive
         semidefinite, replaces both. They are errors of the finger: `correct_pose` adds the errors of the model's
-        surface, and the change of its normal with the error of the point. With `of_residual` (a truth value or (n,))
-        they are the covariance of the residual between a measured contact and the model, found with known poses;
-        nothing is added, and no direction may be exactly known.
+        surface, and the change of its normal with the error of the point.
 
         `group` (n,), whole numbers from 0, or -1: contacts with the same number are on one link, or were probed by one
         tool, whose placement is in error by a shift and a turn of all of them. `shared_covariance` (6, 6), or (g, 6, 6)
@@ -71,9 +69,10 @@ class Contacts:
         points = _by_row(checks.in_reach, points_palm, "points_palm", (3,))
         normals, has_normal = _normals(normals_palm, len(points))
         if covariance is None:
-            sigmas = ((sigma_point, "sigma_point"), (sigma_normal, "sigma_normal"))
-            variances = np.stack([_sigmas(sigma, name, len(points)) ** 2 for sigma, name in sigmas], axis=1)
-            covariance_palm = np.repeat(variances, 3, axis=1)[:, :, None] * np.eye(6)
+            position = _sigmas(sigma_point, "sigma_point", len(points))
+            angle = _sigmas(sigma_normal, "sigma_normal", len(points))
+            variances = np.stack([position, position, position, angle, angle, angle], axis=1) ** 2
+            covariance_palm = variances[:, :, None] * np.eye(6)
         else:
             covariance_palm = _by_row(checks.covariance, covariance, "covariance", (6, 6))
             _check_length(covariance_palm, "covariance", len(points))
@@ -83,13 +82,16 @@ class Contacts:
         B[:, 3:, 3:] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         B[~has_normal, 3:, 3:] = 0.0
         covariance_palm = symmetric(B @ covariance_palm @ B.swapaxes(-1, -2))
-        flags = _residual_flags(of_residual, normals, has_normal, covariance_palm)
         groups = _groups(group, shared_covariance, len(points))
-        _filled(self, points, normals, has_normal, covariance_palm, flags, *groups)
+        _fill(self, points, normals, has_normal, covariance_palm, *groups)
 
     @classmethod
     def from_tips(
-        cls, contacts: Sequence[Contact], *, sigma_point: ArrayLike = 1e-3, sigma_normal: ArrayLike = 0.1
+        cls,
+        contacts: Sequence[Contact],
+        *,
+        sigma_point: ArrayLike = SIGMA_POINT,
+        sigma_normal: ArrayLike = SIGMA_NORMAL,
     ) -> Contacts:
         """Returns contacts that fingertips sensed, already `moved` into the palm frame.
 
@@ -115,22 +117,25 @@ class Contacts:
         The arrays must be float64 and finite, the normals unit, the covariances positive semidefinite and zero along
         the normals. The arrays are kept and made read-only.
         """
-        has_normal, of_residual, _ = _defaults(len(points_palm))
-        return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
+        n = len(points_palm)
+        return _unchecked(
+            points_palm, normals_palm, np.ones(n, dtype=bool), covariance, np.full(n, -1), NO_GROUP
+        )
 
     @cached_property
     def record(self) -> NDArray[np.void]:
         """(n,) CONTACT: the same values as records for the kernels, without the groups."""
-        # Set as numbers in the order of the record's fields: by their names it takes twice as long.
-        numbers = np.zeros((len(self), CONTACT.itemsize // 8))
-        numbers[:, :3], numbers[:, 3:6] = self.points_palm, self.normals_palm
-        numbers[:, 9:45], flags = self.covariance.reshape(-1, 36), numbers.view(np.int64)
-        flags[:, 6], flags[:, 7], flags[:, 8] = self.has_normal, True, self.of_residual
-        return numbers.view(CONTACT)[:, 0]
+        records = np.zeros(len(self), dtype=CONTACT)
+        records["point"] = self.points_palm
+        records["normal"] = self.normals_palm
+        records["has_normal"] = self.has_normal
+        records["used"] = True
+        records["covariance"] = self.covariance
+        return records
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restores a copy or a pickle, whose arrays NumPy makes writable: for kernels these are of another type."""
-        _filled(self, *(state[name] for name in _ARRAYS))
+        _fill(self, *(state[name] for name in _ARRAYS))
 
     def __len__(self) -> int:
         return len(self.points_palm)
@@ -140,9 +145,10 @@ class Contacts:
         T = se3.check(T_new_palm, "T_new_palm")
         R = T[:3, :3]
         covariance = symmetric(se3.rotate_covariance(R, self.covariance))
-        points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
+        points = se3.apply(T, self.points_palm)
+        normals = self.normals_palm @ R.T
         shared = se3.rotate_covariance(R, self.shared_covariance)
-        return _unchecked(points, normals, self.has_normal, covariance, self.of_residual, self.group, shared)
+        return _unchecked(points, normals, self.has_normal, covariance, self.group, shared)
 
     def with_own_errors(self) -> Contacts:
         """Returns the contacts without groups, each with the error that it shares as if that were its own."""
@@ -158,7 +164,14 @@ class Contacts:
             by_error[:, 3:, 3:] = -se3.skew(self.normals_palm[own])
             covariance[own] += by_error @ shared @ by_error.swapaxes(1, 2)
         places = self.points_palm, self.normals_palm, self.has_normal
-        return _unchecked(*places, symmetric(covariance), self.of_residual)
+        return _unchecked(*places, symmetric(covariance), np.full(len(self), -1), NO_GROUP)
+
+    def negated(self) -> Contacts:
+        """Returns the contacts with their normals the other way round."""
+        signs = np.repeat([1.0, -1.0], 3)
+        covariance = self.covariance * np.outer(signs, signs)
+        places = self.points_palm, -self.normals_palm, self.has_normal
+        return _unchecked(*places, covariance, self.group, self.shared_covariance)
 
     def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
@@ -168,73 +181,38 @@ class Contacts:
 
     def select(self, mask_or_indices: ArrayLike) -> Contacts:
         """Returns the contacts of a mask (n,) bool, or of indices, which may reorder and repeat; at least one."""
-        chosen, n = np.asarray(mask_or_indices), len(self)
+        chosen = np.asarray(mask_or_indices)
+        n = len(self)
         if chosen.dtype == np.bool_ and chosen.shape == (n,):
             chosen = np.flatnonzero(chosen)
         if chosen.size == 0:
             raise InvalidInput("select: expected at least one contact, got none")
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
-            came = checks.brief(mask_or_indices)
-            raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
+            raise InvalidInput(
+                f"select: expected a mask of {n} or indices below {n}, got {checks.brief(mask_or_indices)}"
+            )
         arrays = [getattr(self, name)[chosen] for name in (*_EACH, "group")]
         return _unchecked(*arrays, self.shared_covariance)
 
 
 NO_GROUP = np.empty((0, 6, 6))
 MOST_GROUPS = 1000
-_EACH = "points_palm", "normals_palm", "has_normal", "covariance", "of_residual"
+_EACH = "points_palm", "normals_palm", "has_normal", "covariance"
 _ARRAYS = (*_EACH, "group", "shared_covariance")
 
 
-@lru_cache
-def _defaults(n: int) -> tuple[Mask, Mask, Indices]:
-    """Returns `has_normal`, `of_residual` and `group` (n,) of contacts with normals, errors of the finger, no group."""
-    return np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, -1)
-
-
 def _unchecked(*arrays: Any) -> Contacts:
-    """Returns contacts of clean arrays, in the order of `_EACH`, and maybe their groups."""
-    return _filled(object.__new__(Contacts), *arrays)
-
-
-def _filled(
-    contacts: Contacts,
-    points: Array,
-    normals: Array,
-    has_normal: Mask,
-    covariance: Array,
-    of_residual: Mask,
-    group: Indices | None = None,
-    shared: Array = NO_GROUP,
-) -> Contacts:
-    groups = _defaults(len(points))[2] if group is None else group
-    arrays = points, normals, has_normal, covariance, of_residual, groups, shared
-    for array in arrays:
-        array.setflags(write=False)  # in half the time that its flags take
-    vars(contacts).update(zip(_ARRAYS, arrays, strict=True))
+    """Returns contacts of clean arrays, in the order of `_ARRAYS`."""
+    contacts = object.__new__(Contacts)
+    _fill(contacts, *arrays)
     return contacts
 
 
-def _residual_flags(value: ArrayLike, normals: Array, has_normal: Mask, covariance: Array) -> Mask:
-    """Returns the flags (n,); raises InvalidInput where a residual's covariance is zero in some direction."""
-    n, flags = len(normals), np.asarray(value)
-    if flags.dtype != np.bool_ or flags.shape not in ((), (n,)):
-        raise InvalidInput(f"of_residual: expected true or false, or {n} of these, got {checks.brief(value)}")
-    flags = np.array(np.broadcast_to(flags, n))
-    if not flags.any():
-        return flags
-    # Along a normal, and where there is no normal, a clean covariance is zero; those directions are filled up.
-    size = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2) / 2
-    free = np.where(has_normal[:, None, None], normals[:, :, None] * normals[:, None, :], np.eye(3))
-    full = covariance.copy()
-    full[:, 3:, 3:] += np.where(has_normal, size, 1.0)[:, None, None] * free
-    deviation = np.sqrt(np.einsum("nii->ni", full))
-    correlation = full / np.maximum(deviation[:, :, None] * deviation[:, None, :], 1e-300)
-    exact = flags & (np.linalg.eigvalsh(correlation).min(axis=1) < 1e-9)  # less is rounding
-    if exact.any():
-        expected = "expected a residual's, uncertain in every direction"
-        raise InvalidInput(f"covariance[{exact.argmax()}]: {expected}, got one that is exact in some")
-    return flags
+def _fill(contacts: Contacts, *arrays: Any) -> None:
+    """Sets the fields of contacts to arrays, in the order of `_ARRAYS`, and makes these read-only."""
+    for name, array in zip(_ARRAYS, arrays, strict=True):
+        array.setflags(write=False)
+        object.__setattr__(contacts, name, array)
 
 
 def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int) -> tuple[Indices, Array]:
@@ -242,7 +220,7 @@ def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int
     if (group is None) != (shared_covariance is None):
         raise InvalidInput("group, shared_covariance: expected both or neither, got one of them")
     if group is None or shared_covariance is None:
-        return _defaults(n)[2], NO_GROUP
+        return np.full(n, -1), NO_GROUP
     given = checks.finite(group, "group", (n,))
     numbers = given.astype(np.int64)
     if (numbers != given).any() or not -1 <= numbers.min() <= numbers.max() < n:
@@ -263,7 +241,8 @@ def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int
 
 def _normals(normals_palm: object, n: int) -> tuple[Array, Mask]:
     """Returns normals (n, 3), unit or zero, and whether each exists (n,)."""
-    normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
+    normals = np.zeros((n, 3))
+    has_normal = np.zeros(n, dtype=bool)
     if normals_palm is None:
         return normals, has_normal
     if not isinstance(normals_palm, np.ndarray | Sequence) or isinstance(normals_palm, str):

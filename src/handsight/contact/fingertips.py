@@ -18,12 +18,13 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
+MIN_FORCE = 0.1  # least force of a contact where none is given [N]
 SMALLEST, LARGEST = 1e-5, 0.2  # range of a fingertip's semi-axes [m]; a length outside of it has another unit
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Ellipsoid:
-    """An `Ellipsoid` is an ellipsoidal fingertip (Bicchi, Salisbury and Brock 1993)."""
+    """Ellipsoidal fingertip (Bicchi, Salisbury and Brock 1993)."""
 
     semi_axes: Array
     """(3,) semi-axes along x, y, z of the surface frame [m]."""
@@ -45,7 +46,7 @@ class Ellipsoid:
         semi_axes: ArrayLike,
         cap: float | None = None,
         max_friction: float | None = None,
-        min_force: float = 0.1,
+        min_force: float = MIN_FORCE,
         T_surface_sensor: ArrayLike | None = None,
     ) -> None:
         """Lengths in metres; raises InvalidInput (InvalidTransform for the pose) naming the field."""
@@ -61,10 +62,10 @@ class Ellipsoid:
         if max_friction is not None:
             max_friction = checks.positive(max_friction, "max_friction")
             if max_friction > 1000:  # no two materials have more
-                came = f"{max_friction:g} (without a limit: None)"
-                raise InvalidInput(f"max_friction: expected at most 1000, got {came}")
-        min_force = checks.positive(min_force, "min_force")
-        checks.load(min_force, "min_force", ())
+                raise InvalidInput(
+                    f"max_friction: expected at most 1000, or None for no limit, got {max_friction:g}"
+                )
+        min_force = float(checks.load(min_force, "min_force", ()))
         if min_force < 1e-9:
             raise InvalidInput(f"min_force: expected newtons, at least 1e-09, got {min_force:g}")
         T = None if T_surface_sensor is None else se3.check(T_surface_sensor, "T_surface_sensor")
@@ -79,7 +80,8 @@ class Ellipsoid:
 
     def larger(self, by: float) -> "Ellipsoid":
         """Returns this tip with semi-axes longer by so much [m], negative for a smaller one; raises InvalidInput."""
-        axes, T = self.semi_axes + by, self.T_surface_sensor
+        axes = self.semi_axes + by
+        T = self.T_surface_sensor
         return Ellipsoid(axes, self.cap, self.max_friction, self.min_force, T)
 
     def with_sensor(self, T_surface_sensor: ArrayLike) -> "Ellipsoid":
@@ -89,7 +91,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Sphere(Ellipsoid):
-    """A `Sphere` is a spherical fingertip: an ellipsoid with equal axes."""
+    """Spherical fingertip: an ellipsoid with equal axes."""
 
     radius: float
     """Radius [m]."""
@@ -101,7 +103,7 @@ class Sphere(Ellipsoid):
         radius: float,
         cap: float | None = None,
         max_friction: float | None = None,
-        min_force: float = 0.1,
+        min_force: float = MIN_FORCE,
         T_surface_sensor: ArrayLike | None = None,
     ) -> None:
         """Lengths in metres; raises InvalidInput (InvalidTransform for the pose) naming the field."""
@@ -147,6 +149,13 @@ then options, each after a comma (or a semicolon):
                       (without it: at the centre)
 A length needs its unit: mm, cm or m. Example: ellipsoid:8,8,12mm,cap=-2mm,friction=1.2
 """
+ARGUMENTS = {
+    "cap": "cap",
+    "friction": "max_friction",
+    "min_force": "min_force",
+    "sensor": "T_surface_sensor",
+}
+"""Arguments of a fingertip, by the options of its text."""
 _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z]*)")
 
 
@@ -161,25 +170,21 @@ def parse_fingertip(text: str) -> Fingertip:
         raise InvalidInput(f"fingertip: expected ellipsoid:A,B,Cmm or sphere:Rmm, got {text!r}")
     sizes, *parts = re.split(r"[,;](?=[^,;=]*=)", rest)
     lengths = _lengths(sizes, shape, 3 if shape == "ellipsoid" else 1)
-    known, options = ("cap", "friction", "min_force", "sensor"), dict[str, Any]()
+    arguments = dict[str, Any]()
     for part in parts:
         name, _, value = (word.strip() for word in part.partition("="))
-        if name not in known:
-            raise InvalidInput(f"fingertip: expected options {', '.join(known)}, got {name!r}")
-        if name in options:
-            raise InvalidInput(f"fingertip: expected {name} once, got it twice")
+        argument = ARGUMENTS.get(name)
+        if argument is None or argument in arguments:
+            raise InvalidInput(f"fingertip: expected options {', '.join(ARGUMENTS)}, each once, got {name!r}")
         if name == "cap":
-            options[name] = _lengths(value, name, 1)[0]
+            arguments[argument] = _lengths(value, name, 1)[0]
         elif name == "sensor":
-            options[name] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
+            arguments[argument] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
         else:
-            match, unit = _NUMBER.fullmatch(value), "N" if name == "min_force" else ""
-            if not match or match[2] not in ("", unit):
-                expected = f"a number{f' [{unit}]' if unit else ''}"
-                raise InvalidInput(f"fingertip: {name}: expected {expected}, got {value!r}")
-            options[name] = float(match[1])
-    names = {"friction": "max_friction", "sensor": "T_surface_sensor"}
-    arguments = {names.get(name, name): value for name, value in options.items()}
+            match = _NUMBER.fullmatch(value.removesuffix("N") if name == "min_force" else value)
+            if not match or match[2]:
+                raise InvalidInput(f"fingertip: {name}: expected a number, got {value!r}")
+            arguments[argument] = float(match[1])
     try:
         return Ellipsoid(lengths, **arguments) if shape == "ellipsoid" else Sphere(lengths[0], **arguments)
     except InvalidInput as error:
@@ -188,16 +193,14 @@ def parse_fingertip(text: str) -> Fingertip:
 
 def _lengths(text: str, name: str, count: int) -> list[float]:
     """Returns `count` lengths [m]; the unit of the last one is that of those without a unit."""
-    text = text.strip()
-    matches = [match for part in re.split("[,;]", text) if (match := _NUMBER.fullmatch(part.strip()))]
-    if len(matches) != count or len(re.split("[,;]", text)) != count:
-        expected = "a length such as 9mm" if count == 1 else f"{count} lengths such as 8,8,12mm"
-        raise InvalidInput(f"fingertip: {name}: expected {expected}, got {text!r}")
-    metres, lengths = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, []
-    for match in matches:
-        unit = match[2] or matches[-1][2]
-        if unit not in metres:
-            came = f"the unit {unit!r}" if unit else "no unit"
-            raise InvalidInput(f"fingertip: {name}: expected mm, cm or m in {text!r}, got {came}")
-        lengths.append(float(match[1]) * metres[unit])
-    return lengths
+    parts = [_NUMBER.fullmatch(part.strip()) for part in re.split("[,;]", text)]
+    matches = [match for match in parts if match]
+    if not len(matches) == len(parts) == count:
+        raise InvalidInput(
+            f"fingertip: {name}: expected lengths such as 8,8,12mm, {count} in all, got {text!r}"
+        )
+    metres = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+    units = [match[2] or matches[-1][2] for match in matches]
+    if not metres.keys() >= set(units):
+        raise InvalidInput(f"fingertip: {name}: expected lengths in mm, cm or m, got {text!r}")
+    return [float(match[1]) * metres[unit] for match, unit in zip(matches, units, strict=True)]

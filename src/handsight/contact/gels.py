@@ -22,7 +22,7 @@ MOST_CELLS = 2048  # cells of a gel at most; a larger image is averaged over blo
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Gel(TactileSurface):
-    """A `Gel` is a tactile surface whose readings are indentations [m], after `scale` and `offset`.
+    """Tactile surface whose readings are indentations [m], after `scale` and `offset`.
 
     Its `points` are places of the surface while nothing touches it, its `threshold` is in metres, and its `sigma_point`
     is the noise of the indentation at one of them.
@@ -35,7 +35,7 @@ class Gel(TactileSurface):
     None: one number for each point."""
     noise: float = 0.1  # standard deviation of the indentation's scale, as a share of it
     sigma_point: float = 5e-5
-    sigma_normal: float | None = math.radians(3.0)
+    sigma_normal: float | None = math.radians(3)
     """Standard deviation of a contact's normal [rad], in addition to that by noise."""
 
     def __post_init__(self) -> None:
@@ -46,7 +46,8 @@ class Gel(TactileSurface):
             image = checks.finite(self.image, "image", (2,)).astype(np.int64)
             object.__setattr__(self, "image", (int(image[0]), int(image[1])))
             if (image < 1).any() or math.prod(image // max(self.block, 1)) != len(self.points):
-                n, came = len(self.points), " x ".join(map(str, self.image))
+                n = len(self.points)
+                came = " x ".join(map(str, self.image))
                 raise InvalidInput(f"image: expected rows and columns of {n} square blocks, got {came}")
 
     @property

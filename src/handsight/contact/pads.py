@@ -16,24 +16,22 @@ from handsight import checks
 from handsight._kernels.touch.taxel_records import FAR, PATCH, PRESSED, UNKNOWN
 from handsight.checks import Array
 from handsight.contact.taxels import MOST_TAXELS, SkinTouch, TactileSurface
-from handsight.errors import InvalidInput
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Pad(TactileSurface):
-    """A `Pad` is a surface, given by points spread over it evenly, that is touched somewhere or not at all."""
+    """Surface, given by points spread over it evenly, that is touched somewhere or not at all."""
 
     kind: ClassVar[str] = "binary"
 
     channels: int = 1
     """Numbers of a reading; of several, such as the axes of magnetometers, the change's length counts."""
-    sigma_normal: float | None = math.radians(45.0)
+    sigma_normal: float | None = math.radians(45)
     """Standard deviation of a contact's normal about the pad's, in addition to how much that turns over the pad."""
 
     def __post_init__(self) -> None:
         TactileSurface.__post_init__(self)
-        if not checks.integer(self.channels, "channels", MOST_TAXELS):
-            raise InvalidInput("channels: expected at least one number in a reading, got 0")
+        checks.integer(self.channels, "channels", MOST_TAXELS, 1)
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -48,20 +46,30 @@ class Pad(TactileSurface):
         """Returns whether the pad is pressed, by a reading and its baseline (channels, 1)."""
         rise = self.record["scale"][0, 0] * (values - self.record["offset"][0, 0]) - baseline
         size = float(np.linalg.norm(rise) if self.channels > 1 else rise[0, 0])
-        pressed, n = size >= self.threshold, self.channels
-        states = np.full((2, n + 1), UNKNOWN)
-        states[0, :n] = PRESSED if pressed else FAR if math.isfinite(size) else UNKNOWN
-        states[1] = np.append(np.full(n, 0 if pressed else -1), -1)
+        pressed = size >= self.threshold
+        n = self.channels
+        states = np.full((2, n + 1), -1)
+        states[0] = UNKNOWN
+        if pressed:
+            states[:, :n] = [[PRESSED], [0]]
+        elif math.isfinite(size):
+            states[0, :n] = FAR
         patches = np.zeros(int(pressed), dtype=PATCH)
         for patch in patches:  # the contact that is anywhere on the pad
-            record, middle, normal = self.record[0], self.points.mean(axis=0), self.normals.mean(axis=0)
-            arms, turns = self.points - middle, self.normals - normal
+            record = self.record[0]
+            middle = self.points.mean(axis=0)
+            normal = self.normals.mean(axis=0)
+            arms = self.points - middle
+            turns = self.normals - normal
             normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
             own_cell = self.pitch**2 / 12 * (np.eye(3) - np.outer(normal, normal))
             C = np.zeros((6, 6))
             C[:3, :3] = 2 * (arms.T @ arms / len(arms) + own_cell) + record["variance_point"] * np.eye(3)
             C[3:, 3:] = turns.T @ turns / len(turns) + record["variance_normal"] * np.eye(3)
-            patch["point"], patch["normal"], patch["covariance"] = middle, -normal, C
+            patch["point"] = middle
+            patch["normal"] = -normal
+            patch["covariance"] = C
             patch["force"] = patch["wrench"] = patch["torque"] = np.nan
-            patch["total"], patch["contacts"] = size, 1.0
+            patch["total"] = size
+            patch["contacts"] = 1.0
         return SkinTouch(self, np.append(np.full(n, size if pressed else 0.0), 0.0)[:, None], states, patches)

@@ -111,19 +111,17 @@ def _lines(file: TextIO, name: str) -> Iterator[str]:
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
     """Yields the labels and the six numbers of each row."""
-    reader, known = csv.reader(lines, strict=True), (*LABELS, *NUMBERS)
+    reader = csv.reader(lines, strict=True)
+    known = (*LABELS, *NUMBERS)
     rows = (cells for cells in reader if len(cells) > 1 or "".join(cells).strip())
     try:
         header = [cell.strip().lower() for cell in next(rows, NUMBERS)]
         where = f"{name}: line {reader.line_num}"
-        for column in header:
-            if column not in known:
-                expected, came = f"a header of {', '.join(known)}", f"column {column[:40]!r}"
-                raise InvalidFile(f"{where}: expected {expected}, got {came}")
-            if (times := header.count(column)) > 1:
-                raise InvalidFile(f"{where}: expected column {column} once, got it {times} times")
-        if missing := ", ".join(column for column in NUMBERS if column not in header):
-            raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {missing}")
+        if len(set(header)) < len(header) or not set(NUMBERS) <= set(header) <= set(known):
+            raise InvalidFile(
+                f"{where}: expected columns {', '.join(NUMBERS)}, and {', '.join(LABELS)} or not, each once, got "
+                f"{', '.join(header):.200}"
+            )
         for cells in rows:
             where = f"{name}: line {reader.line_num}"
             if len(cells) != len(header):
@@ -136,10 +134,8 @@ def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[fl
 
 
 def _number(cell: str, where: str) -> float:
-    if not cell or cell.isspace():
-        return math.nan
     try:
-        number = float(cell.replace("_", "no number"))  # float takes 1_0 for 10
+        number = float(cell.strip().replace("_", "no number") or math.nan)  # float takes 1_0 for 10
     except ValueError:
         raise InvalidFile(f"{where}: expected a number, got {checks.brief(cell)!r}") from None
     if error := _load_error(number):
@@ -155,7 +151,7 @@ def _load_error(number: float) -> str | None:
 
 
 class _Wrench(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_Wrench` is a wrench as JSON; null stands for a missing reading."""
+    """Wrench as JSON; null stands for a missing reading."""
 
     force: tuple[float | None, float | None, float | None]
     torque: tuple[float | None, float | None, float | None]
@@ -184,16 +180,15 @@ def _json_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[f
         try:
             row = json.loads(line)
             wrench = msgspec.convert(row, _Wrench)
-        except msgspec.ValidationError as error:
-            field, message = explain(error, _Wrench, row)
+        except msgspec.ValidationError:
+            field, message = explain(_Wrench, row)
             raise InvalidFile(f"{where}: {field_name(field) or 'wrench'}: {message}") from None
         except (ValueError, RecursionError) as error:
             raise InvalidFile(f"{where}: expected a JSON object, got {error}") from None
         labels: Labels = {key: row[key] for key in LABELS if key in row}
         first = labels if first is None else first
         if labels.keys() != first.keys():
-            came, expected = (", ".join(keys) or "neither" for keys in (labels, first))
-            raise InvalidFile(f"{where}: expected the labels of the first line ({expected}), got {came}")
+            raise InvalidFile(f"{where}: expected the labels of the first line, {[*first]}, got {[*labels]}")
         yield labels, [math.nan if x is None else x for x in (*wrench.force, *wrench.torque)]
 
 

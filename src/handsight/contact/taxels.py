@@ -10,7 +10,6 @@ row's number grows), +z out of the skin.
 """
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Self
@@ -19,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_members
 from handsight._kernels.touch.taxel_records import LOW, NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
+from handsight.contact.soft_skin import sink
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
@@ -33,22 +32,24 @@ CLEARANCE = 5e-4
 [m]. A can's side is that high 6 mm beside the line where it touches."""
 GIVES = 2e-8
 """How much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber 1.7e-8, 5 mm of foam 1e-7."""
-MOST_TAXELS, FLAT = 4096, math.radians(3.0)
+MOST_TAXELS, FLAT = 4096, math.radians(3)
 """Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
+MOST_NEAR = 64
+"""Taxels around one among which its neighbours are chosen: the 24 within 2.9 pitches of a grid, and those that face
+elsewhere on a thin link."""
 
 
 class Grid(NamedTuple):
-    """A `Grid` is the layout of a flat grid of taxels."""
+    """Layout of a flat grid of taxels."""
 
     T_frame_grid: Array  # (4, 4) pose of the grid in the body
     rows: int
     columns: int
 
 
-@renamed_members(rows="layout.rows", columns="layout.columns", T_frame_grid="layout.T_frame_grid")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TactileSurface:
-    """A `TactileSurface` has the taxels of one link of the hand; wrong fields raise InvalidInput."""
+    """Taxels of one link of the hand; wrong fields raise InvalidInput."""
 
     kind: ClassVar[str] = "taxels"
 
@@ -83,6 +84,12 @@ class TactileSurface:
     """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the surface as a whole on its link [m]."""
+    stiffness: float | None = None
+    """Of the skin, pressure by depth [N/m³]: a contact of a curved surface is moved into the skin by what its force, in
+    newtons, gives. None: unknown, so the contact stays on the undeformed surface, and is known the less, the harder it
+    is pressed."""
+    sigma_stiffness: float | None = None
+    """Standard deviation of `stiffness` [N/m³]; None: half of it."""
     layout: Grid | None = None
     """The grid that the taxels are on, row by row; None: they are at any places."""
     nominal: bool = False
@@ -96,7 +103,8 @@ class TactileSurface:
 
     def __post_init__(self) -> None:
         points = checks.position(self.points, "points", (None, 3))
-        n, most = len(points), self.full_scale
+        n = len(points)
+        most = self.full_scale
         if not 1 <= n <= MOST_TAXELS:
             raise InvalidInput(f"points: expected 1 to {MOST_TAXELS} taxels, got {n}")
         if (extent := float(np.ptp(points, axis=0).max())) > 0.5:
@@ -104,42 +112,56 @@ class TactileSurface:
         normals = checks.unit(self.normals, "normals", (n, 3))
         if self.components not in (1, 3):
             raise InvalidInput(f"components: expected 1 or 3, got {checks.brief(self.components)}")
-        distance = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(n, np.inf))
+        others, distance = _nearest_taxels(points)
         if n > 1 and not distance.min() > 1e-5:
             i = int(distance.min(axis=1).argmin())
             raise InvalidInput(f"points[{i}]: expected a place of its own, got that of another taxel")
-        third = np.median(np.sort(distance, axis=1)[:, min(3, n - 1) - 1]) if n > 1 else np.inf
+        third = np.median(distance[:, min(3, n - 1) - 1]) if n > 1 else np.inf
         pitch = checked_pitch(third if self.pitch == 0 else self.pitch)
-        near, outward = distance < 1.6 * pitch, "expected normals that point out of the link"
-        wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
+        near = distance < 1.6 * pitch
+        cosines = np.einsum("nkj,nj->nk", normals[others], normals)
+        wrong = np.flatnonzero((near * cosines).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
         if len(wrong):
-            raise InvalidInput(f"normals[{wrong[0]}]: {outward}, got one against its neighbours'")
+            raise InvalidInput(
+                f"normals[{wrong[0]}]: expected one that points out of the link, got one against its neighbours'"
+            )
         # A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
         arms = points - points.mean(axis=0)
         if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
-            raise InvalidInput(f"normals: {outward}, got normals that point into it")
+            raise InvalidInput(
+                "normals: expected ones that point out of the link, got ones that point into it"
+            )
         checks.positive(self.threshold, "threshold")
         if most is not None and not checks.positive(most, "full_scale") > self.threshold:
             raise InvalidInput(f"full_scale: expected more than the threshold, got {most:g}")
         flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(FLAT)).all())
-        sigma_normal = math.radians(4.0 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
-        for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
-            checks.sigma_point(sigma, name)
-        record, taxels = np.ones(1, dtype=SURFACE), _records(points, self._axes(normals), distance, pitch)
+        sigma_normal = math.radians(4 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
+        checks.sigma_point(self.sigma_point, "sigma_point")
+        checks.sigma_point(self.sigma_mount, "sigma_mount")
+        if self.stiffness is not None:
+            checks.positive(self.stiffness, "stiffness")
+            sigma = self.stiffness / 2 if self.sigma_stiffness is None else self.sigma_stiffness
+            object.__setattr__(self, "sigma_stiffness", checks.positive(sigma, "sigma_stiffness"))
+        record = np.ones(1, dtype=SURFACE)
+        taxels = _records(points, self._axes(normals), others, distance, pitch)
         for name, value in (("scale", self.scale), ("offset", self.offset)):
             shape = (self.components,) if checks.ndim(value) else ()
             record[name][0, : self.components] = checks.finite(value, name, shape)
-        if not record["scale"].all() or not 0 <= float(checks.finite(self.noise, "noise", ())) <= 1:
-            came = f"{self.scale}, {self.noise}"
-            raise InvalidInput(f"scale, noise: expected no 0, and a share up to 1, got {came}")
+        if not record["scale"].all() or not 0 <= checks.finite(self.noise, "noise", ()) <= 1:
+            raise InvalidInput(
+                f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
+            )
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
         # pressed more; so the surface may also be turned.
         width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
-        record["threshold"], record["full_scale"] = self.threshold, np.inf if most is None else most
+        record["threshold"] = self.threshold
+        record["full_scale"] = np.inf if most is None else most
         record["pitch"] = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
         record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
         record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
-        record["noise"], record["variance_point"], record["flat"] = self.noise, self.sigma_point**2, flat
+        record["noise"] = self.noise
+        record["variance_point"] = self.sigma_point**2
+        record["flat"] = flat
         arrays = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
         for name, array in arrays.items():
             object.__setattr__(self, name, array)
@@ -180,12 +202,6 @@ class TactileSurface:
         """The shape of a reading: `places`, then 3 for three components."""
         return self.places if self.components == 1 else (*self.places, 3)
 
-    @property
-    def places_grid(self) -> Array:
-        """(rows, columns, 3) positions of a grid's taxels in its frame [m]."""
-        rows, columns = self.places
-        return grid_places(rows, columns, self.pitch)
-
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
         """Returns readings of the surface's `shape` as floats, NaN for none; raises InvalidInput for another shape."""
         try:
@@ -193,19 +209,14 @@ class TactileSurface:
         except ValueError:  # rows of different length
             array = np.zeros(0)
         if array.dtype.kind not in "fiub" or array.shape != self.shape:
-            came = f"{checks.brief(values)} of shape {array.shape}"
-            raise InvalidInput(f"{name}: expected {self._expected} numbers, got {came}")
+            raise InvalidInput(
+                f"{name}: expected numbers of shape {self.shape}, got {checks.brief(values)} of shape {array.shape}"
+            )
         return array.astype(np.float64, copy=False)
 
     def cells(self, values: Array) -> Array:
         """Returns a checked reading as (n, components)."""
         return values.reshape(len(self.points), -1)
-
-    @property
-    def _expected(self) -> str:
-        *rows, last = self.shape[:2] if self.components == 1 or self.layout else self.shape[:1]
-        lines = f"{rows[0]} rows of " if rows else ""
-        return f"{lines}{last}{' times 3' if self.components == 3 else ''}"
 
     def touch(self, values: ArrayLike, baseline: ArrayLike = 0.0) -> "SkinTouch":
         """Returns which taxels are pressed, which are untouched, and the patches, by readings of the surface's `shape`.
@@ -214,17 +225,21 @@ class TactileSurface:
         either is neither. Raises InvalidInput.
         """
         if np.shape(baseline) not in ((), self.shape):
-            came = np.shape(baseline)
-            raise InvalidInput(f"baseline: expected a number or {self._expected}, got shape {came}")
+            raise InvalidInput(
+                f"baseline: expected a number or shape {self.shape}, got shape {np.shape(baseline)}"
+            )
         bases = np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape)
         return self.sensed(self.cells(self.reading(values)), self.cells(bases))
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
         n, c = values.shape
-        rise, states = np.empty((n + 1, c)), np.empty((2, n + 1), dtype=np.int64)
+        rise = np.empty((n + 1, c))
+        states = np.empty((2, n + 1), dtype=np.int64)
         patches = np.empty(MAX_PATCHES, dtype=PATCH)
         count = self._kernel()(values, baseline, self.record, self.taxels, rise, states, patches)
+        if self.kind == "taxels":
+            sink(patches[:count], self, GIVES)
         return SkinTouch(self, rise, states, patches[:count])
 
     @staticmethod
@@ -234,15 +249,9 @@ class TactileSurface:
         return sense_taxels
 
 
-def TaxelArray(**fields: Any) -> TactileSurface:
-    """Returns a flat grid of taxels. Deprecated: it is `TactileSurface.grid`."""
-    warnings.warn("TaxelArray is now TactileSurface.grid", DeprecationWarning, 2)
-    return TactileSurface.grid(**fields)
-
-
 def checked_pitch(pitch: Any) -> float:
     """Returns a distance from taxel to taxel [m]; raises InvalidInput."""
-    if not 2e-4 <= float(checks.finite(pitch, "pitch", ())) <= 0.05:
+    if not 2e-4 <= checks.finite(pitch, "pitch", ()) <= 0.05:
         raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {pitch:g}")
     return float(pitch)
 
@@ -261,16 +270,35 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True).clip(min=1e-12))
 
 
-def _records(points: Array, axes: Array, distance: Array, pitch: float) -> NDArray[np.void]:
-    """Returns TAXEL records (n,): neighbours by `distance` (n, n), of which those that face elsewhere do not count."""
-    n, records, normals = len(points), np.zeros(len(points), dtype=TAXEL), axes[:, :, 2]
-    records["point"], records["axes"], records["beside"] = points, axes, n
-    facing = normals @ normals.T > 0.3
+def _nearest_taxels(points: Array) -> tuple[Indices, Array]:
+    """Returns the nearest others of each taxel (n, k), nearest first, and their distances (n, k) [m]."""
+    from scipy.spatial import cKDTree  # its import is long
+
+    n = len(points)
+    _, found = cKDTree(points).query(points, k=min(n, MOST_NEAR + 1))
+    others = found.reshape(n, -1)
+    distance = np.linalg.norm(points[:, None] - points[others], axis=2)
+    distance[others == np.arange(n)[:, None]] = -1.0  # itself, which goes first
+    order = np.lexsort((others, distance), axis=1)[:, 1:]  # equally far ones by their number
+    return np.take_along_axis(others, order, axis=1), np.take_along_axis(distance, order, axis=1)
+
+
+def _records(points: Array, axes: Array, others: Indices, distance: Array, pitch: float) -> NDArray[np.void]:
+    """Returns TAXEL records (n,), with their neighbours among the `others`; those that face elsewhere do not count."""
+    n = len(points)
+    normals = axes[:, :, 2]
+    records = np.zeros(n, dtype=TAXEL)
+    records["point"] = points
+    records["axes"] = axes
+    records["beside"] = n
+    facing = np.einsum("nkj,nj->nk", normals[others], normals) > 0.3
     for name, reach, most in (("near", 1.5, NEAR), ("wide", 2.9, WIDE)):
         reached = np.where(facing & (distance < reach * pitch), distance, np.inf)
         order = np.argsort(reached, axis=1, kind="stable")[:, :most]
+        chosen = np.take_along_axis(others, order, axis=1)
+        known = np.isfinite(np.take_along_axis(reached, order, axis=1))
         records[name] = n
-        records[name][:, :n] = np.where(np.isfinite(np.take_along_axis(reached, order, axis=1)), order, n)
+        records[name][:, : chosen.shape[1]] = np.where(known, chosen, n)
     for i, row in enumerate(records):
         near = row["near"][row["near"] < n]
         if not len(near):
@@ -286,10 +314,9 @@ def _records(points: Array, axes: Array, distance: Array, pitch: float) -> NDArr
     return records
 
 
-@renamed_members(array="surface")
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinTouch:
-    """A `SkinTouch` says which taxels of a surface are touched at one instant."""
+    """Which taxels of a surface are touched at one instant."""
 
     surface: TactileSurface = field(repr=False)
     rise: Array = field(repr=False)
@@ -334,13 +361,15 @@ class SkinTouch:
         of flat patches are without the error that the taxels have in common (`sigmas_common`), but for its turn. Those
         of a gel's contacts have it as often as there are contacts, as together they do not average it.
         """
-        surface, T = self.surface, se3.check(T_palm_frame, "T_palm_frame")
+        surface = self.surface
+        T = se3.check(T_palm_frame, "T_palm_frame")
         chosen = np.flatnonzero(self._spread(without))
         patches = self.patches[~self.patches["flat"] & (np.arange(len(self.patches)) != without)]
         if not len(chosen) and not len(patches):
             return None
         chosen = chosen[_farthest_points(surface.points[chosen], MAX_CONTACTS)]
-        record, n = surface.record[0], len(chosen)
+        record = surface.record[0]
+        n = len(chosen)
         C = np.zeros((n + len(patches), 6, 6))
         if n:
             C[:n] = self._covariances(chosen)
@@ -362,12 +391,15 @@ class SkinTouch:
         The surface may be turned, and a body that is turned into it is deeper where it presses more, by as much as the
         skin gives way. Contacts have either error as often as there are contacts, as together they do not average it.
         """
-        taxels, record, n = self.surface.taxels[chosen], self.surface.record[0], len(chosen)
+        taxels = self.surface.taxels[chosen]
+        record = self.surface.record[0]
+        n = len(chosen)
         height, turn = record["variance_mount"][[0, 3]]
         arms = taxels["point"] - taxels["point"].mean(axis=0)
         stronger = arms @ np.linalg.lstsq(arms, self.rise[chosen, -1], rcond=1e-6)[0]  # than the mean, evenly
         deeper = np.minimum((GIVES * stronger / record["pitch"] ** 2) ** 2, height)
-        variances, C = np.full((n, 1, 3), record["pitch"] ** 2 / 12), np.zeros((n, 6, 6))
+        variances = np.full((n, 1, 3), record["pitch"] ** 2 / 12)
+        C = np.zeros((n, 6, 6))
         variances[:, 0, 2] = record["variance_point"] + n * deeper
         C[:, :3, :3] = (taxels["axes"] * variances) @ taxels["axes"].swapaxes(1, 2)
         C[:, 3:, 3:] = (record["variance_normal"] + n * turn) * np.eye(3)
@@ -409,11 +441,9 @@ class SkinTouch:
 
 def _farthest_points(places: Array, count: int) -> Indices:
     """Returns at most `count` of n places (n, 3), each farthest from those before (farthest-point sampling)."""
+    from handsight._kernels.math.spreading import snapped, spread_out  # importing numba takes half a second
+
     if len(places) <= count:
         return np.arange(len(places))
-    chosen = [int(np.argmax(((places - places.mean(axis=0)) ** 2).sum(axis=1)))]
-    nearest = np.full(len(places), np.inf)
-    for _ in range(count - 1):
-        nearest = np.minimum(nearest, ((places - places[chosen[-1]]) ** 2).sum(axis=1))
-        chosen.append(int(nearest.argmax()))
-    return np.array(chosen)
+    features = np.hstack([places, np.zeros_like(places)])
+    return np.asarray(snapped(features, spread_out(features, count, 0)))

@@ -1,7 +1,6 @@
 """Correction: from contacts and vision to a pose with its uncertainty."""
 
-from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, correct_poses, refine_pose
-from handsight.correction.depth import DepthPoints
+from handsight.correction.correct import METHODS, correct_pose, correct_poses, refine_pose
 from handsight.correction.estimate import (
     Conflict,
     Hypothesis,
@@ -10,23 +9,19 @@ from handsight.correction.estimate import (
     Residuals,
     bounded_covariance,
 )
-from handsight.correction.mean import ANSWERS
 from handsight.correction.modes import pose_distances
 from handsight.correction.outside import MOST_PLANES, MOST_POINTS, Outside, Plane
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import MOST_CONTACTS, TwoPhase
+from handsight.correction.problem import MOST_CONTACTS
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.weight import WeightEvidence
 
 __all__ = [
-    "ANSWERS",
     "METHODS",
     "MOST_CONTACTS",
     "MOST_PLANES",
     "MOST_POINTS",
-    "MOST_SAMPLES",
     "Conflict",
-    "DepthPoints",
     "Hypothesis",
     "Outside",
     "PaperMethod",
@@ -35,7 +30,6 @@ __all__ = [
     "PosePrior",
     "Residuals",
     "SkinEvidence",
-    "TwoPhase",
     "WeightEvidence",
     "bounded_covariance",
     "correct_pose",

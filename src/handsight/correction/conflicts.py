@@ -10,6 +10,7 @@ A, from the answer on, so that neither an edge nor a curved cost raises an alarm
 """
 
 from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -21,18 +22,25 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict, PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem
+from handsight.correction.problem import Problem, poses_of
+from handsight.correction.registration import Registration, registered
+from handsight.correction.solve import residuals
 
-KINDS = ("vision", "weight", "depth", "skin", "outside")
+Kind = Literal["vision", "weight", "skin", "outside"]
+Evidence = Kind | int
+"""Evidence that may contradict the rest: a kind of it, or a contact by its index."""
+KINDS: tuple[Kind, ...] = ("vision", "weight", "skin", "outside")
+NOWHERE = np.empty(0)
+"""The offset of evidence that has none."""
 POOL, KIND, EACH = ACCEPTANCE.pool, ACCEPTANCE.kind, ACCEPTANCE.each
 """Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their
 sum over all tests is `ACCEPTANCE.alarm`, so by Bonferroni's inequality at most so many honest answers are called
 inconsistent.
 """
-TESTED = np.empty(0, records.ANSWER)[["chi2", "gain", "prior_gain", "outside_gain", "rows"]].dtype
-"""The fields of an ANSWER by which it is tested, as a view of it; one by one they would take three times as long."""
+BY_GAIN: dict[str, Kind] = {"prior_gain": "vision", "outside_gain": "outside"}
+"""Kinds whose gain, to first order, is in an ANSWER."""
 MOST_CONFLICTS = 10
-"""Most conflicts that are named beside what was left out."""
+"""Most conflicts that are named of evidence in use; of many contacts that were left out, as many, the worst."""
 LEAST = modes.chi2_limit(1, EACH)
 """The smallest limit of a test of one kind or one contact."""
 
@@ -42,27 +50,89 @@ def judged(problem: Problem, answer: np.void, used: Mask) -> tuple[bool, tuple[C
 
     `answer`: the mode's ANSWER; `used` (1, n): the contacts in use.
     """
-    conflicts: tuple[Conflict, ...] = ()
-    if answer["chi2"] > LEAST:
-        conflicts = _found(problem, answer, used)
-    return modes.fits(answer["chi2"], problem.freedom(used), POOL) and not conflicts, conflicts
+    conflicts = _found(problem, answer, used)
+    freedom = problem.freedom(used, int(answer["walls"]))
+    return modes.fits(answer["chi2"], freedom, POOL) and not conflicts, conflicts
 
 
-def suspects(problem: Problem, answer: np.void, n: int) -> list[str]:
-    """Returns the kinds of evidence, "contact" among them, that may contradict the rest, to first order where that is
-    known; what is left out can lower χ² by no more than all of it. `n`: contacts in use."""
-    chi2, gain, prior, outside, rows = answer.view(TESTED).item()
-    every = problem.taxels > 0 or problem.depth is not None
-    if chi2 <= LEAST or not (every or max(gain, prior, outside) > LEAST):
+def of_registered(problem: Problem, best: Registration) -> tuple[bool, tuple[Conflict, ...]]:
+    """Returns whether the evidence of a registration fits together, and what contradicts the rest: first what is in
+    use, then the groups and the worst of the single contacts that were left out."""
+    in_use = _found(problem, best.row, problem.everyone)
+    groups = [_left_out(f"group {g}", float(best.groups[g]["square"]), 6) for g in best.wrong_groups]
+    squares = np.where(best.wrong_alone(problem.contacts), best.squares[:, 0], -1.0)
+    worst = np.argsort(-squares, kind="stable")[:MOST_CONFLICTS]
+    rows = residuals(problem, best.row["T_palm_object"])
+    contacts = [
+        _left_out(f"contact {i}", float(squares[i]), int(problem.rows_each[i]), rows[i])
+        for i in worst
+        if squares[i] >= 0
+    ]
+    return best.fits(problem) and not in_use, (*in_use, *groups, *contacts)
+
+
+def _left_out(evidence: str, chi2: float, freedom: int, offset: Array = NOWHERE) -> Conflict:
+    """Returns the conflict of contacts that a registration has left out."""
+    p_value = modes.chi2_survival(chi2, freedom)
+    return Conflict(evidence, "other contacts", chi2, freedom, p_value, offset, excluded=True)
+
+
+def weight_left_out(problem: Problem, without: PoseEstimate, fall: float) -> Conflict:
+    """Returns the conflict of the weight, which was left out of an estimate, with the rest.
+
+    `problem`: with the weight; `fall`: by how much χ² is smaller without it.
+    """
+    used = _in_use(problem, without)
+    conflict = _conflict(problem, used, "weight", fall, without.answer, without.residual_rows)
+    return replace(conflict, excluded=True)
+
+
+def contact_left_out(problem: Problem, estimate: PoseEstimate, contact: int) -> Conflict:
+    """Returns the conflict of a contact that was left out with the rest: by how much χ² rises from the answer's when it
+    alone is put back."""
+    used = _in_use(problem, estimate)
+    used[0, contact] = True
+    with_it, _ = descended(problem, used, estimate.answer["pose"])
+    fall = float(with_it["chi2"] - estimate.answer["chi2"])
+    conflict = _conflict(problem, used, contact, fall, estimate.answer, estimate.residual_rows)
+    return replace(conflict, excluded=True)
+
+
+def _in_use(problem: Problem, estimate: PoseEstimate) -> Mask:
+    """Returns (1, n) which contacts an estimate uses."""
+    used = problem.everyone
+    used[0, list(estimate.outliers)] = False
+    return used
+
+
+def of_vision(problem: Problem, estimate: PoseEstimate) -> Conflict:
+    """Returns the conflict of vision with the rest, of an estimate that trusts it less."""
+    used = problem.everyone if problem.registered else _in_use(problem, estimate)
+    answer, _ = descended(problem, used, estimate.answer["pose"])
+    return _against(problem, used, "vision", answer).conflict
+
+
+def _suspects(problem: Problem, answer: np.void, used: Mask) -> list[Evidence]:
+    """Returns the evidence that may contradict the rest, to first order where that is known; what is left out can lower
+    χ² by no more than all of it. Single contacts of a registration have been judged already."""
+    chi2 = answer["chi2"]
+    if chi2 <= LEAST:
         return []
-    first = (
-        ("vision", prior, modes.chi2_limit(prior_freedom(problem, rows), KIND)),
-        ("outside", outside, modes.chi2_limit(1, KIND)),
-        ("contact", gain, modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)),
-    )
-    doubtful = [(name, limit) for name, fall, limit in first if every or fall > limit]
-    known = [name for name, limit in doubtful if chi2 > limit]
-    return [*known, "weight", "depth", "skin"] if doubtful else []
+    n, rows = int(used.sum()), int(answer["rows"])
+    limits = {
+        "prior_gain": modes.chi2_limit(prior_freedom(problem, rows), KIND),
+        "outside_gain": modes.chi2_limit(1, KIND),
+    }
+    if not problem.registered:
+        limits["gain"] = modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)
+    doubtful = [gain for gain, limit in limits.items() if problem.taxels or answer[gain] > limit]
+    if not doubtful:
+        return []
+    found: list[Evidence] = []
+    for gain in doubtful:
+        if chi2 > limits[gain]:
+            found.append(_worst(problem, answer, used) if gain == "gain" else BY_GAIN[gain])
+    return [*found, "weight", "skin"]
 
 
 def prior_freedom(problem: Problem, rows: int) -> int:
@@ -70,128 +140,142 @@ def prior_freedom(problem: Problem, rows: int) -> int:
     return max(min(6 - len(problem.model.symmetries.axes), rows), 1)
 
 
-def excluded(problem: Problem, estimate: PoseEstimate, name: str, fall: float) -> Conflict:
-    """Returns the conflict of evidence that was left out of an estimate, of "weight" or "contact 3", with the rest.
-
-    `problem`: with that evidence; `fall`: by how much χ² fell without it.
-    """
-    used = np.ones((1, len(problem.contacts)), dtype=bool)
-    used[0, list(estimate.outliers)] = False
-    if name != "weight":
-        used[0, int(name.split()[1])] = True
-    return _conflict(problem, used, name, fall, (estimate.answer, estimate.residual_rows), excluded=True)
-
-
 def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...]:
     """Returns what contradicts the rest, the least probable one first, the next ones without those before."""
     found: list[Conflict] = []
     while len(found) < MOST_CONFLICTS:
-        best, n = None, int(used.sum())
-        for kind in suspects(problem, answer, n):
-            name = _worst(problem, answer, used) if kind == "contact" else kind
-            if not _freedom(problem, used, name):
+        best: Without | None = None
+        for evidence in _suspects(problem, answer, used):
+            if not _freedom(problem, used, evidence, answer):
                 continue
-            rest = _without(problem, used, name)
-            if not rest[1].any():
+            if not _without(problem, used, evidence)[1].any():
                 continue
-            other, level = _solved(*rest, _mode(answer)), EACH / n if kind == "contact" else KIND
-            # The log determinants of the contacts' covariances count where both answers have the same contacts.
-            cost = "chi2" if name == "skin" or kind == "contact" else "posterior_cost"
-            conflict = _conflict(problem, used, name, float(answer[cost] - other[0][cost]), other)
-            if conflict.p_value < level and (best is None or conflict.p_value < best[0].p_value):
-                best = conflict, rest, other[0]
+            without = _against(problem, used, evidence, answer)
+            p_value = without.conflict.p_value
+            level = EACH / int(used.sum()) if isinstance(evidence, int) else KIND
+            if p_value < level and (best is None or p_value < best.conflict.p_value):
+                best = without
         if best is None:
             break
-        found.append(best[0])
-        (problem, used), answer = best[1:]
+        conflict, problem, used, answer = best
+        found.append(conflict)
     return tuple(found)
 
 
-def _worst(problem: Problem, answer: np.void, used: Mask) -> str:
-    """Returns the name of the contact without which χ² falls most, to first order."""
-    arguments, there = problem.arguments(used), np.zeros(1, dtype=records.ANSWER)
-    there["pose"], there["first_order"] = answer["pose"], True
+class Without(NamedTuple):
+    """What remains without some evidence, and its conflict with that."""
+
+    conflict: Conflict
+    problem: Problem
+    used: Mask
+    answer: np.void
+
+
+def _against(problem: Problem, used: Mask, evidence: Evidence, answer: np.void) -> Without:
+    """Returns the conflict of some evidence with the rest, from the ANSWER with it."""
+    others, kept = _without(problem, used, evidence)
+    other, offsets = descended(others, kept, answer["pose"])
+    fall = _fall(problem, evidence, answer, other)
+    conflict = _conflict(problem, used, evidence, fall, answer, offsets, rest=other)
+    return Without(conflict, others, kept, other)
+
+
+def _fall(problem: Problem, evidence: Evidence, answer: np.void, other: np.void) -> float:
+    """Returns by how much χ² falls from one ANSWER to that without some evidence."""
+    if problem.registered:
+        cost = "cost"
+    elif isinstance(evidence, int) or evidence == "skin":
+        cost = "chi2"
+    else:  # the same contacts, so that the log determinants of their covariances can be compared
+        cost = "posterior_cost"
+    return float(answer[cost] - other[cost])
+
+
+def _worst(problem: Problem, answer: np.void, used: Mask) -> int:
+    """Returns the contact without which χ² falls most, to first order."""
+    arguments = problem.arguments(used)
+    there = np.zeros(1, dtype=records.ANSWER)
+    there["pose"] = answer["pose"]
+    there["first_order"] = True
     batch.summarize_all(*arguments, there)
-    return f"contact {np.where(used[0], arguments[2][0]['gain'], 0.0).argmax()}"
+    contacts = arguments[2][0]
+    return int(np.where(used[0], contacts["gain"], 0.0).argmax())
 
 
-def _freedom(problem: Problem, used: Mask, name: str) -> int:
-    """Returns the degrees of freedom of evidence against the rest; 0 where there is none of it, or no rest."""
-    if name == "vision":
+def _freedom(problem: Problem, used: Mask, evidence: Evidence, answer: np.void) -> int:
+    """Returns the degrees of freedom of evidence against the rest, at the ANSWER with it; 0 where there is none of it,
+    or no rest."""
+    if isinstance(evidence, int):
+        return int(problem.rows_each[evidence])
+    if evidence == "vision":
         return 0 if problem.blind else prior_freedom(problem, problem.freedom(used))
-    if name == "weight":
+    if evidence == "weight":
         return 0 if problem.weight is None else 3
-    if name == "depth":
-        return 0 if problem.depth is None else min(len(problem.depth), 6)
-    if name == "skin":
-        return int(used[0, -problem.taxels :] @ problem.rows_each[-problem.taxels :]) if problem.taxels else 0
-    if name == "outside":  # each link or plane is one row, and they move the pose in at most six directions
-        return min(len(np.unique(rows)), 6) if len(rows := problem.outside[["is_plane", "link"]]) else 0
-    return int(problem.rows_each[int(name.split()[1])])
+    if evidence == "skin":
+        first = used.size - problem.taxels
+        return int(used[0, first:] @ problem.rows_each[first:])
+    # Evidence of one side has as many as it has rows that are active.
+    return int(answer["walls"])
 
 
-def _without(problem: Problem, used: Mask, name: str) -> tuple[Problem, Mask]:
+def _without(problem: Problem, used: Mask, evidence: Evidence) -> tuple[Problem, Mask]:
     """Returns the problem and its contacts in use (1, n) without some evidence."""
-    if name == "vision":
+    if evidence == "vision":
         return replace(problem, vision=None), used
-    if name == "weight":
+    if evidence == "weight":
         return replace(problem, weight=None), used
-    if name == "depth":
-        return replace(problem, depth=None), used
-    if name == "outside":
+    if evidence == "outside":
         return replace(problem, outside=NO_OUTSIDE), used
     used = used.copy()
-    if name == "skin":
-        used[0, -problem.taxels :] = False
+    if isinstance(evidence, int):
+        used[0, evidence] = False
     else:
-        used[0, int(name.split()[1])] = False
+        used[0, used.size - problem.taxels :] = False
     return problem, used
 
 
-def _mode(answer: np.void) -> Array:
-    """Returns the pose (4, 4) of the mode of an ANSWER, which may be a mean."""
-    return se3.compose(answer["pose"]["rotation"], answer["pose"]["position"])
-
-
-def _solved(problem: Problem, used: Mask, T_start: Array) -> tuple[np.void, Array]:
-    """Returns the ANSWER of a descent from a pose (4, 4) on the fine field, and the residuals (n, 2) there."""
-    rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
+def descended(problem: Problem, used: Mask, start: np.void) -> tuple[np.void, Array]:
+    """Returns the ANSWER of a descent from a POSE on the fine field, and the residuals (n, 2) there."""
+    if problem.registered:
+        contacts = problem.contacts.select(np.flatnonzero(used[0]))
+        T = se3.compose(start["rotation"], start["position"])
+        row = registered(replace(problem, contacts=contacts), T).row
+        return row, residuals(problem, row["T_palm_object"])
+    rows, found = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
     row, contacts, constraints = rows[0], problem.sets(used)[0], problem.constraints.copy()
     row["follows"] = True
-    row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
+    row["start"] = start
     if problem.blind:  # of equivalent poses the one nearest to the start is the answer
         constraints["prior"]["pose"] = row["start"]
-    batch.correct_all(*problem.model.record[:2], contacts, constraints, problem.outside, rows, residuals)
-    return row["answer"], residuals
+    batch.correct(*problem.model.record[:2], contacts, constraints, problem.outside, rows, found)
+    return row["answer"], found
 
 
 def _conflict(
     problem: Problem,
     used: Mask,
-    name: str,
+    evidence: Evidence,
     fall: float,
-    without: tuple[np.void, Array],
-    *,
-    excluded: bool = False,
+    answer: np.void,
+    offsets: Array,
+    rest: np.void | None = None,
 ) -> Conflict:
-    """Returns the conflict of some evidence, `without` which χ² is smaller by `fall`, at the answer without it, which
-    comes with its residuals.
+    """Returns the conflict of some evidence with the rest, without which χ² is smaller by `fall`.
 
-    `problem` and `used` (1, n) are with it.
+    `rest`: the ANSWER without it, None: `answer` itself; `offsets` (n, 2): the contacts' residuals there. `problem`,
+    `used` (1, n) and `answer` are with the evidence.
     """
-    rest, residuals = without
-    fall, freedom = max(fall, 0.0), _freedom(problem, used, name)
-    T, offset = _mode(rest), np.empty(0)
-    if name == "vision" and problem.vision is not None:
+    name, offset, others = str(evidence), NOWHERE, "contacts"
+    T = poses_of(answer if rest is None else rest)
+    without = _without(problem, used, evidence)[1]
+    if isinstance(evidence, int):
+        name, offset, others = f"contact {evidence}", offsets[evidence], "other contacts"
+    elif evidence == "vision" and problem.vision is not None:
         offset = se3.difference(T, problem.vision.T_palm_object)
-    elif name == "weight" and problem.weight is not None:
+    elif evidence == "weight" and problem.weight is not None:
         center = se3.apply(T, problem.weight.center_object[None])[0]
         offset = center - problem.weight.center_palm
-    elif name.startswith("contact"):
-        offset = residuals[int(name.split()[1])]
-    kinds = [kind for kind in KINDS if kind != name and _freedom(problem, used, kind)]
-    taxels = problem.taxels if name == "skin" else 0
-    others = used[0, : used.size - taxels].sum() - name.startswith("contact")
-    against = (["other contacts" if name.startswith("contact") else "contacts"] if others else []) + kinds
-    p_value = modes.chi2_survival(fall, freedom)
-    return Conflict(name, ", ".join(against), fall, freedom, p_value, offset, excluded)
+    against = [others] if without.any() else []
+    against += [kind for kind in KINDS if kind != evidence and _freedom(problem, used, kind, answer)]
+    fall, freedom = max(fall, 0.0), _freedom(problem, used, evidence, answer)
+    return Conflict(name, ", ".join(against), fall, freedom, modes.chi2_survival(fall, freedom), offset)

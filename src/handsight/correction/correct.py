@@ -7,56 +7,51 @@ itself is in `solve.py` (from one start or many) and `outliers.py` (wrong contac
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import conflicts, outliers, paper, solve
-from handsight.correction.depth import DepthPoints
-from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
-from handsight.correction.mean import (
-    KINDS,
-    after_draws,
-    checked_answer,
-    kind_of,
-    known_information,
-    mean_by_sampling,
-    with_means,
-)
-from handsight.correction.open_draws import DRAWS, draw
+from handsight.correction import conflicts, modes, outliers, paper, solve
+from handsight.correction.estimate import NORMALS, Conflict, PoseEstimate, PosePrior, Vision, checked_prior
+from handsight.correction.few_contacts import may_draw
+from handsight.correction.mean import after_draws, known_information, merged, with_means, with_weights
+from handsight.correction.open_draws import FIRST_DRAWS, MORE_DRAWS, draw
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import (
     MOST_CONTACTS,
-    Budget,
     Problem,
     Steps,
-    TwoPhase,
     check_number,
     descents_at,
     finished,
+    is_registered,
+    poses_of,
 )
-from handsight.correction.registration import is_registered, register
+from handsight.correction.registration import register
 from handsight.correction.skin import SkinEvidence
-from handsight.correction.solve import solve_batch, solve_single_start, solve_usual, summarize, summarize_pose
+from handsight.correction.solve import solve_usual, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
-USUAL = TwoPhase()
-MOST_SAMPLES = 1_000_000
-"""Posterior samples of one correction: so many take ten seconds and a hundred megabytes."""
-MOST_WIDENED = 3
-"""How often the prior of a correction is widened at most where the rest contradicts it."""
-METHODS: dict[str, TwoPhase | PaperMethod] = {
-    "handsight": USUAL,
+TAIL = 25.0
+"""By how much the prior is widened first where vision may be in the tail of its errors: five sigmas are one then."""
+IN_TAIL = 6.0
+"""Minus two log of the share of vision's poses that are in the tail: one in twenty."""
+LEAST_SIGNS = 3
+"""Normals that are too few to say that all are negated."""
+METHODS: dict[str, PaperMethod | None] = {
+    "handsight": None,
     "paper-lm": PaperMethod(optimizer="lm"),
     "paper-gd": PaperMethod(optimizer="gd"),
     "paper-lm-distance": PaperMethod(optimizer="lm", normals=False),
@@ -70,16 +65,14 @@ def correct_pose(
     *,
     vision: Vision | None = None,
     outside: ArrayLike | Outside | None = None,
-    answer: str = "best",
-    samples: int = 0,
-    budget: float | None = None,
     weight: WeightEvidence | None = None,
-    depth: DepthPoints | None = None,
     skin: SkinEvidence | None = None,
-    method: str | TwoPhase | PaperMethod = "handsight",
+    method: str | PaperMethod = "handsight",
 ) -> PoseEstimate:
     """Returns the object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
+    Its `T_palm_object` is the maximum of the posterior density, or the mean of a mode that is not Gaussian, such as a
+    slide that ends at edges but is not fixed between them; its `T_palm_object_maximum` is the maximum in any case.
     All lengths are in metres and all times in seconds. A wrong argument raises InvalidInput, which names it. A solver
     that does not converge returns an estimate whose `converged` is False.
 
@@ -99,77 +92,64 @@ def correct_pose(
     contact). Use it where poses that fit the contacts would cut through the hand or the table. Points have no effect on
     a model without an inside. Default None.
 
-    answer: "best" (default) is the maximum of the posterior density, or the mean of a mode that is not Gaussian, such
-    as a slide that ends at edges but is not fixed between them. "maximum" and "mean" always give the one or the other.
-
-    samples: 0 (default): a mean is integrated numerically. A number above 0, up to 1 000 000: pose and covariance are
-    the mean and the covariance of so many Monte Carlo samples of the best mode (at least 64), whatever `answer` is. Use
-    it as an independent check: 1 000 000 take ten seconds.
-
-    budget: time after which the search for better modes and for wrong contacts stops; `converged` is False where it
-    was cut short. Use it where an answer must come in time. Default None: no limit.
-
     weight: the centre of mass in the object, and in the palm as measured by the loads on the fingertips, as
     `WeightEvidence`. Use it while the hand alone carries the object. If all other evidence contradicts it, it is left
     out and `weight_fits` is False. Default None.
 
-    depth: points of a depth image on the object's surface, as `DepthPoints`. Use them in place of the pose that was
-    estimated from the same image: `vision` must not be that pose too. Default None.
-
     skin: pressed and untouched taxels of tactile arrays, as `SkinEvidence`. Pressed taxels are contacts, and follow
     `contacts` in `residuals` and `outliers`. The array's common error is added to the covariance. Default None.
 
-    method: "handsight" (default), or a `TwoPhase` with its options. For comparison, the methods of the IROS 2013 paper:
-    "paper-lm", "paper-gd", "paper-lm-distance" and "paper-gd-distance" (the latter two without normals), or a
-    `PaperMethod`. They start from `vision`, which they need, take neither `weight` nor `depth`, and do not use
-    `answer`, `samples` and `budget`.
+    method: "handsight" (default). For comparison, the methods of the IROS 2013 paper: "paper-lm", "paper-gd",
+    "paper-lm-distance" and "paper-gd-distance" (the latter two without normals), or a `PaperMethod`. They start from
+    `vision`, which they need, and take no `weight`.
     """
-    # Calls that can be spared are: after other work each is read from memory again, which takes as long as the kernel.
-    options = USUAL if type(method) is str and method == "handsight" else _method(method)
+    papers = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
         raise InvalidInput(
             "correct_pose: expected an ObjectModel and Contacts, "
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
-    prior = vision if type(vision) is PosePrior else checked_prior(vision)
-    if type(answer) is not str or answer not in KINDS:
-        checked_answer(answer)
-    if type(samples) is not int or samples:
-        samples = checks.integer(samples, "samples", MOST_SAMPLES)
-    alone = weight is None and depth is None and skin is None and budget is None
-    alone = alone and (outside is None or getattr(outside, "skin", None) is None)
-    if prior is not None and alone and options is USUAL and not samples and not is_registered(contacts):
-        rows = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)
-        estimate, enough = solve_usual(model, contacts, prior.record, rows, KINDS[answer])
+    prior = checked_prior(vision)
+    usual = papers is None and weight is None and skin is None
+    if prior is not None and usual and not is_registered(contacts):
+        rows = outside_records(model, contacts, outside)
+        estimate, enough = solve_usual(model, contacts, prior.record, rows, mean=True)
         if estimate is not None and enough:
             return estimate
         problem = Problem(model, contacts, prior, rows)
-        final = estimate is None or kind_of(problem, answer) == KINDS[answer]
-        if estimate is not None and final and solve.fits(problem, estimate):
+        final = estimate is None or not may_draw(problem)
+        if estimate is not None and final and _fits(problem, estimate):
             return estimate
-        return finished(corrected(replace(problem, doubted=final), None, answer))
-    limit = Budget.of(budget)
-    problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
-    if isinstance(options, PaperMethod):
-        estimate = _by_paper(problem, options)
-        return estimate if skin is None else estimate.inflated(skin.sigmas**2)
-    return finished(corrected(problem, skin, answer, samples, options, limit))
+        estimate = finished(corrected(replace(problem, doubted=final), None))
+        return _with_signs(problem, estimate)
+    problem, skin = problem_of(model, contacts, prior, outside, weight, skin)
+    if papers is None:
+        return _with_signs(problem, finished(corrected(problem, skin)))
+    estimate = _by_paper(problem, papers)
+    return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
-def corrected(
-    problem: Problem,
-    skin: SkinEvidence | None,
-    answer: str = "best",
-    samples: int = 0,
-    options: TwoPhase = USUAL,
-    limit: Budget | None = None,
-) -> Steps[PoseEstimate]:
+def _with_signs(problem: Problem, estimate: PoseEstimate) -> PoseEstimate:
+    """Returns the estimate, with a conflict where the evidence fits with all normals of contacts negated, as where a
+    sensor reports the direction of its own force, and does not as given."""
+    contacts = problem.contacts
+    if estimate.consistent or problem.on_skin or contacts.has_normal.sum() < LEAST_SIGNS:
+        return estimate
+    other = finished(corrected(replace(problem, contacts=contacts.negated()), None))
+    if not other.consistent:
+        return estimate
+    fall = max(float(estimate.answer["chi2"] - other.answer["chi2"]), 0.0)
+    freedom = 2 * int(contacts.has_normal.sum())
+    against = "their points and the rest"
+    wrong = Conflict(NORMALS, against, fall, freedom, modes.chi2_survival(fall, freedom), np.empty(0))
+    return replace(estimate, conflicts=(*estimate.conflicts, wrong))
+
+
+def corrected(problem: Problem, skin: SkinEvidence | None) -> Steps[PoseEstimate]:
     """Returns `correct_pose` of a problem and its skin, by handsight's own method, in steps."""
-    limit = limit or Budget()
-    solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
-    estimate = yield from solved(problem)
+    estimate = yield from _solved(problem)
     if problem.weight is not None:
-        estimate = yield from _weighed(problem, problem.weight, estimate, solved)
+        estimate = yield from _weighed(problem, problem.weight, estimate)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
@@ -183,104 +163,139 @@ def problem_of(
     prior: PosePrior | None,
     outside: ArrayLike | Outside | None = None,
     weight: WeightEvidence | None = None,
-    depth: DepthPoints | None = None,
     skin: SkinEvidence | None = None,
 ) -> tuple[Problem, SkinEvidence | None]:
     """Returns the problem of checked inputs, and its skin; raises InvalidInput.
 
     The skin's pressed taxels are among the problem's contacts, its untouched ones among the points outside.
     """
-    for name, value, kind in (
-        ("weight", weight, WeightEvidence),
-        ("depth", depth, DepthPoints),
-        ("skin", skin, SkinEvidence),
-    ):
+    for name, value, kind in (("weight", weight, WeightEvidence), ("skin", skin, SkinEvidence)):
         if value is not None and not isinstance(value, kind):
             raise InvalidInput(f"{name}: expected {kind.__name__} or None, got {type(value).__name__}")
-    if skin is None and isinstance(outside, Outside) and outside.skin is not None:  # deprecated
-        skin = SkinEvidence(None, np.empty((0, 3)), np.asarray(outside.skin))
+    taxels = 0
     if skin is not None and skin.contacts is not None:
+        taxels = len(skin.contacts)
         contacts = contacts.joined(skin.contacts)
-    taxels = 0 if skin is None or skin.contacts is None else len(skin.contacts)
     weight = None if weight is None else weight.of(model)
     rows = outside_records(model, contacts, outside, skin)
-    return Problem(model, contacts, prior, rows, weight, depth, taxels, skin is not None), skin
+    return Problem(model, contacts, prior, rows, weight, taxels, skin is not None), skin
 
 
-def _solved(
-    problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int
-) -> Steps[PoseEstimate]:
-    """Returns the answer to a problem; where the rest contradicts vision, with a wider prior.
+def _solved(problem: Problem) -> Steps[PoseEstimate]:
+    """Returns the answer to a problem; where an error in vision's tail explains the evidence better than what is found
+    with the declared covariance, with one that is so much larger.
 
     Vision's errors have heavier tails than a Gaussian, and a prior that is far off drags a pose along all directions in
-    which contacts yield. A conflict of χ² with k degrees of freedom is likeliest where the covariance is χ² / k times
-    as large. The answer says that the evidence is inconsistent all the same.
+    which contacts yield, or makes right contacts wrong. The answer says that the evidence is inconsistent all the same.
     """
-    first = estimate = yield from _searched(problem, options, limit, answer, samples)
-    if not first.conflicts:
-        return first
-    for _ in range(MOST_WIDENED):
-        wrong = estimate.conflicts[0] if estimate.conflicts else None  # the least probable one
-        if wrong is None or wrong.evidence != "vision" or problem.vision is None or limit.cut_short:
-            break
-        # A prior that is 10 m or 10 rad wide says nothing already.
-        widest = 100.0 / max(float(problem.vision.covariance.diagonal().max()), 1e-18)
-        factor = max(min(wrong.chi2 / wrong.freedom, widest), 1.0)
-        covariance = factor * problem.vision.covariance
-        wider = PosePrior.trusted(problem.vision.T_palm_object, covariance)
-        problem = replace(problem, vision=wider, doubted=False)
-        estimate = yield from _searched(problem, options, limit, answer, samples)
-    if estimate is first:
-        return first
-    excluded = tuple(c for c in estimate.conflicts if c.excluded)
-    in_use = tuple(c for c in first.conflicts if not c.excluded)
-    return replace(estimate, consistent=False, conflicts=in_use + excluded)
+    found = yield from _searched(problem)
+    vision = problem.vision
+    contradicted = any(conflict.evidence == "vision" for conflict in found.conflicts)
+    wrong = found.outliers and not problem.registered  # of thousands, some always are
+    if vision is None or not (contradicted or wrong):
+        return found
+    excess, in_tail = _tail(problem, _widened(problem, vision, TAIL), found.answer["pose"])
+    by_contacts = float(found.answer["chi2"]) + ACCEPTANCE.decisive * len(found.outliers)
+    if not contradicted and in_tail > by_contacts:
+        return found
+    answer = yield from _searched(_widened(problem, vision, excess))
+    off = conflicts.of_vision(problem, answer)
+    if not contradicted and off.p_value > conflicts.KIND:
+        return answer
+    return replace(answer, consistent=False, conflicts=(off, *answer.conflicts))
 
 
-def _searched(
-    problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int, first: int = DRAWS.first
-) -> Steps[PoseEstimate]:
+def _widened(problem: Problem, vision: PosePrior, factor: float) -> Problem:
+    """Returns the problem with vision's covariance so many times as large."""
+    wider = PosePrior.trusted(vision.T_palm_object, factor * vision.covariance)
+    return replace(problem, vision=wider, doubted=False)
+
+
+def _tail(problem: Problem, wide: Problem, start: np.void) -> tuple[float, float]:
+    """Returns by how much vision's covariance is likeliest larger, at least 1, and what the answer with all contacts
+    then costs, where a descent from a POSE leads with the `wide` one.
+
+    With χ² = q of k degrees of freedom it is s² = q / k times as large, which costs q / s² + 2 k log s, and that it is
+    in the tail at all.
+    """
+    answer, _ = conflicts.descended(wide, problem.everyone, start)
+    at = poses_of(answer)[None]
+    rise = solve.cost(problem, at, problem.everyone) - solve.cost(wide, at, problem.everyone)
+    off = float(rise[0]) * TAIL / (TAIL - 1)
+    freedom = conflicts.prior_freedom(problem, int(answer["rows"]))
+    excess = max(off / freedom, 1.0)
+    by_vision = off / excess + freedom * float(np.log(excess)) + IN_TAIL
+    return excess, float(answer["chi2"]) - off / TAIL + by_vision
+
+
+def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS) -> Steps[PoseEstimate]:
     """Returns the answer to a problem, from one start where that is enough, else from many; on a tactile array the mean
-    of draws, of which `first` are from what the contacts leave open."""
+    of draws, of which `first` are from what the contacts leave open. Without `means`: the maximum in any case."""
     drawn = None
     if problem.on_skin and len(problem.outside) and not problem.blind:
         by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None, on_skin=False)
-        alone = yield from _searched(by_contacts, options, limit, "maximum", 0)
-        drawn = yield from draw(problem, alone.T_palm_object_maximum, alone.information, limit, first)
+        alone = yield from _searched(by_contacts, means=False)
+        drawn = yield from draw(problem, alone.T_palm_object_maximum, alone.information, first)
         problem = replace(problem, starts=drawn[0])
-    if is_registered(problem.contacts):
-        if options is USUAL and not samples:
-            return register(problem, limit)
-        if len(problem.contacts.shared_covariance):
-            raise InvalidInput("samples, method: expected neither with contacts that share errors, got some")
-    answer = "maximum" if samples else answer
-    kind = kind_of(problem, answer)
-    if options is USUAL and not samples and problem.starts is None and not problem.doubted:
-        estimate = solve_single_start(problem, mean=kind)
+    if problem.registered:
+        return _registered(problem)
+    integrated = means and not may_draw(problem)
+    if problem.starts is None and not problem.doubted:
+        estimate = solve_single_start(problem, mean=integrated)
         if estimate is not None:
             yield
-            return after_draws(problem, estimate, answer)
-    found = yield from outliers.solve_robustly(problem, options, limit)
-    averaged = drawn if answer != "maximum" and found.used.all() else None
-    rows = summarize(problem, found, mean=kind if averaged is None else 0)
+            return after_draws(problem, estimate) if means else estimate
+    found = yield from outliers.solve_robustly(problem)
+    averaged = drawn if means and found.used.all() else None
+    rows = summarize(problem, found, mean=integrated and averaged is None)
     yield
-    if limit.cut_short:
-        rows["converged"] = False
     if averaged is None:
-        estimate = with_means(problem, rows, found.used, answer)
+        estimate = with_means(problem, rows, found.used, means=means)
     else:
         _, T, C = averaged
-        estimate = with_means(problem, rows[:1], found.used, "maximum")
+        estimate = with_means(problem, rows[:1], found.used, means=False)
         known = known_information(problem.model, T, C)
         complete = C if estimate.answer["complete"] else None
         estimate = estimate.with_gaussian(T, complete, known, solve.residuals(problem, T))
-        if not estimate.consistent and first < DRAWS.again and not limit.spent():
-            other = yield from _searched(problem, options, limit, answer, samples, DRAWS.again)
+        if not estimate.consistent and first < MORE_DRAWS:
+            other = yield from _searched(problem, means=means, first=MORE_DRAWS)
             return other if other.answer["chi2"] < estimate.answer["chi2"] else estimate
-    for i in estimate.outliers:
-        wrong = conflicts.excluded(problem, estimate, f"contact {i}", float(found.falls[i]))
-        estimate = replace(estimate, conflicts=(*estimate.conflicts, wrong))
-    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
+    left_out = tuple(conflicts.contact_left_out(problem, estimate, i) for i in estimate.outliers)
+    return replace(estimate, conflicts=(*estimate.conflicts, *left_out))
+
+
+def solve_single_start(
+    problem: Problem, T_start: Array | None = None, *, mean: bool = False
+) -> PoseEstimate | None:
+    """Returns the answer of one descent from vision's own pose; None where one start may not be enough, or where the
+    evidence does not fit at its end.
+
+    `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
+    `mean`: whether a mode that is not Gaussian becomes its mean.
+    """
+    if problem.vision is None:
+        return None
+    estimate, enough = solve_usual(
+        problem.model, problem.contacts, problem.constraints, problem.outside, mean, T_start
+    )
+    enough = enough and not problem.taxels
+    return estimate if estimate is None or enough or _fits(problem, estimate) else None
+
+
+def _fits(problem: Problem, estimate: PoseEstimate) -> bool:
+    """Returns whether no evidence contradicts the rest at an estimate with all contacts in use."""
+    return conflicts.judged(problem, estimate.answer, problem.everyone)[0]
+
+
+def _registered(problem: Problem) -> PoseEstimate:
+    """Returns the answer to a problem of many contacts, or of contacts that share errors."""
+    found = register(problem)
+    best = found[0]
+    rows = with_weights(merged(problem, np.array([each.row for each in found])))
+    consistent, contradictions = conflicts.of_registered(problem, best)
+    wrong = tuple(np.flatnonzero(best.wrong(problem.contacts)).tolist())
+    residuals = solve.residuals(problem, rows["T_palm_object"][0])
+    return PoseEstimate(rows, residuals, consistent, wrong, conflicts=contradictions)
 
 
 def refine_pose(
@@ -290,9 +305,7 @@ def refine_pose(
     T_start: Array,
     *,
     outside: Outside | None = None,
-    answer: str = "best",
     weight: WeightEvidence | None = None,
-    depth: DepthPoints | None = None,
     skin: SkinEvidence | None = None,
 ) -> PoseEstimate | None:
     """Returns the answer of a descent from one pose that was right a moment ago; None where the evidence does not fit
@@ -301,51 +314,49 @@ def refine_pose(
     `T_start` (4, 4): the last estimate's `T_palm_object_maximum`, not its mean, at which the evidence may not fit. The
     other arguments are those of `correct_pose`. Raises InvalidInput.
     """
-    problem, skin = problem_of(model, contacts, vision, outside, weight, depth, skin)
-    return finished(refined(problem, skin, np.asarray(T_start), checked_answer(answer)))
+    problem, skin = problem_of(model, contacts, vision, outside, weight, skin)
+    return finished(refined(problem, skin, np.asarray(T_start)))
 
 
-def refined(
-    problem: Problem, skin: SkinEvidence | None, T_start: Array, answer: str
-) -> Steps[PoseEstimate | None]:
+def refined(problem: Problem, skin: SkinEvidence | None, T_start: Array) -> Steps[PoseEstimate | None]:
     """Returns `refine_pose` of a problem and its skin, in steps."""
-    registered, estimate = is_registered(problem.contacts), None
-    if registered:
-        found = register(replace(problem, starts=T_start[None]), Budget())
-        estimate = found if found.consistent else None
+    estimate: PoseEstimate | None
+    if problem.registered:
+        estimate = _registered(replace(problem, starts=T_start[None]))
+        fits = estimate.consistent
     else:
-        estimate = solve_single_start(problem, T_start, mean=KINDS[answer])
-    if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
+        estimate = solve_single_start(problem, T_start, mean=True)
+        fits = estimate is not None
+    if estimate is None or not fits:
         return None
+    if problem.weight is not None:
+        if problem.weight.contradicts(estimate):
+            return None
+        estimate = replace(estimate, weight_fits=True)
     yield
-    estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
-    return estimate if problem.weight is None else replace(estimate, weight_fits=True)
+    return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
-def _weighed(
-    problem: Problem,
-    weight: WeightEvidence,
-    estimate: PoseEstimate,
-    solved: Callable[[Problem], Steps[PoseEstimate]],
-) -> Steps[PoseEstimate]:
+def _weighed(problem: Problem, weight: WeightEvidence, estimate: PoseEstimate) -> Steps[PoseEstimate]:
     """Returns the estimate, or, where all other evidence contradicts the weight, the answer without it."""
     contradicted = weight.contradicts(estimate)
+    with_weight = replace(estimate, weight_fits=True)
     if estimate.consistent and not contradicted:
-        return replace(estimate, weight_fits=True)
-    without = yield from solved(replace(problem, weight=None))
+        return with_weight
+    without = yield from _solved(replace(problem, weight=None))
     named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
     elsewhere = not estimate.consistent and not without.consistent
     # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
     if elsewhere and (not contradicted or (named == others and named and "weight" not in named)):
-        return replace(estimate, weight_fits=True)
+        return with_weight
     fall = float(estimate.answer["chi2"] - without.answer["chi2"])
-    wrong = conflicts.excluded(problem, without, "weight", fall)
+    wrong = conflicts.weight_left_out(problem, without, fall)
     return replace(without, weight_fits=False, conflicts=(*without.conflicts, wrong))
 
 
-def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
-    """Returns a method's options by its name; raises InvalidInput."""
-    if isinstance(method, TwoPhase | PaperMethod):
+def _method(method: str | PaperMethod) -> PaperMethod | None:
+    """Returns the paper's method by its name, None for handsight's own; raises InvalidInput."""
+    if isinstance(method, PaperMethod):
         return method
     if not isinstance(method, str) or method not in METHODS:
         raise InvalidInput(f"method: expected one of {', '.join(METHODS)}, got {checks.brief(method)!r}")
@@ -355,10 +366,8 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
     """Returns the pose by the paper's method, with the uncertainty of handsight's own evidence at it."""
     model, contacts = problem.model, problem.contacts
-    for name, value in (("weight", problem.weight), ("depth", problem.depth)):
-        if value is not None:
-            came = f"got {type(value).__name__}"
-            raise InvalidInput(f"{name}: expected None, as the paper's method does not use it, {came}")
+    if problem.weight is not None:
+        raise InvalidInput("weight: expected None, as the paper's method does not use it, got WeightEvidence")
     if problem.vision is None:
         raise InvalidInput("vision: the paper's method starts from a pose, got None")
     if options.normals and not contacts.has_normal.all():
@@ -388,36 +397,28 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
 def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEstimate]:
     """Returns the estimates of `correct_pose` for many problems of one object, in their order, computed on all cores.
 
-    A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
-    `budget`, `weight`, `depth`, `skin`, `method`), a pair `(contacts, vision)`, or contacts alone, without vision.
-    Problems of nothing but contacts and vision are the fastest. Raises InvalidInput that names the problem, such as
-    `problems[3].vision: ...`; wrong contacts and vision are found before any problem is solved.
+    A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `weight`, `skin`,
+    `method`), a pair `(contacts, vision)`, or contacts alone, without vision. Raises InvalidInput that names the
+    problem, such as `problems[3].vision: ...`; wrong contacts and vision are found before any problem is solved.
     """
     if not isinstance(model, ObjectModel):
         raise InvalidInput(f"model: expected an ObjectModel, got {type(model).__name__}")
     if isinstance(problems, Contacts | Mapping) or not isinstance(problems, Iterable):
         raise InvalidInput(f"problems: expected a sequence of problems, got {type(problems).__name__}")
     each = [_arguments(problem, f"problems[{i}]") for i, problem in enumerate(problems)]
-    found: list[PoseEstimate | None] = [None] * len(each)
-    usual = [
-        i
-        for i, problem in enumerate(each)
-        if set(problem) == {"contacts", "vision"} and not is_registered(problem["contacts"])
-    ]
-    at_once = 4096  # problems in one call of the kernels
-    for begin in range(0, len(usual), at_once):
-        rows = usual[begin : begin + at_once]
-        alone = [Problem(model, each[i]["contacts"], each[i]["vision"], NO_OUTSIDE) for i in rows]
-        kinds = [kind_of(problem, "best") for problem in alone]
-        for i, one, estimate in zip(rows, alone, solve_batch(model, alone, kinds), strict=True):
-            found[i] = None if estimate is None else after_draws(one, estimate, "best")
-    answers = []
-    for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):
+
+    def answered(i: int) -> PoseEstimate:
         try:
-            answers.append(correct_pose(model, **problem) if estimate is None else estimate)
+            return correct_pose(model, **each[i])
         except InvalidInput as error:
             raise InvalidInput(f"problems[{i}]: {error}") from None
-    return answers
+
+    # A thread takes many problems at a time, as handing over one takes longer than solving it.
+    threads = os.cpu_count() or 1
+    shares = [range(first, min(first + 64, len(each))) for first in range(0, len(each), 64)]
+    with ThreadPoolExecutor(threads) as pool:
+        found = pool.map(lambda share: [answered(i) for i in share], shares)
+        return [estimate for share in found for estimate in share]
 
 
 def _arguments(problem: object, name: str) -> dict[str, Any]:

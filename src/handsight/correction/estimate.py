@@ -16,7 +16,7 @@ from handsight._kernels.posterior.propagation import at_point, inflate
 from handsight._kernels.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.gaussian_pose import GaussianPose
+from handsight.gaussian_pose import GaussianPose, stretched
 from handsight.objects import ObjectModel
 from handsight.observation import PoseMeasurement
 from handsight.representation import short_repr
@@ -28,7 +28,7 @@ OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A `PosePrior` is the object's pose in the palm before touch, with its covariance: vision's, or the last one."""
+    """The object's pose in the palm before touch, with its covariance: vision's, or the last one."""
 
     T_palm_object: Array
     """(4, 4) pose of the object in the palm."""
@@ -62,12 +62,33 @@ class PosePrior:
         return prior
 
     @classmethod
-    def from_sigmas(cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float) -> PosePrior:
-        """Returns the prior with a sigma per axis of position [m], and of rotation [rad] within half a turn."""
+    def from_sigmas(
+        cls,
+        T_palm_object: ArrayLike,
+        sigma_position: float,
+        sigma_rotation: float,
+        *,
+        ray: ArrayLike | None = None,
+        sigma_ray: float | None = None,
+    ) -> PosePrior:
+        """Returns the prior with a sigma per axis of position [m], and of rotation [rad] within half a turn.
+
+        A camera knows the distance worst. `ray` (3,): the direction from it to the object, along the palm's axes, of
+        any length; `sigma_ray`: the position's sigma along it [m]; `sigma_position` is then that across it. Raises
+        InvalidInput.
+        """
         position = checks.sigma(sigma_position, "sigma_position")
         rotation = checks.sigma_angle(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
-        return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
+        covariance = np.diag([position**2] * 3 + [rotation**2] * 3)
+        if (ray is None) != (sigma_ray is None):
+            missing, given = ("sigma_ray", "ray") if sigma_ray is None else ("ray", "sigma_ray")
+            raise InvalidInput(f"{missing}: expected with {given}, got None")
+        if ray is not None and sigma_ray is not None:
+            direction = checks.unit(ray, "ray", (3,))
+            along = checks.sigma(sigma_ray, "sigma_ray")
+            covariance[:3, :3] += stretched(direction, along, position)
+        return cls(T, covariance)
 
 
 def _copied(T_palm_object: Array, covariance: Array) -> PosePrior:
@@ -101,17 +122,18 @@ def checked_prior(vision: Vision | None, name: str = "vision") -> PosePrior | No
 
 def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
     """Returns (1,) CONSTRAINTS with a pose (4, 4) and its covariance (6, 6)."""
-    # Set as numbers in the order of the record's fields: by field names it takes three times as long.
-    numbers = np.zeros(CONSTRAINTS.itemsize // 8)
-    numbers[:9], numbers[9:12], numbers[12:48] = T[:3, :3].ravel(), T[:3, 3], covariance.ravel()
-    record = numbers.view(CONSTRAINTS)
-    record["has_prior"] = 1
+    record = np.zeros(1, dtype=CONSTRAINTS)
+    prior = record["prior"]
+    prior["pose"]["rotation"] = T[:3, :3]
+    prior["pose"]["position"] = T[:3, 3]
+    prior["covariance"] = covariance
+    record["has_prior"] = True
     return record
 
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """`Residuals` are the distance and the angle of each contact to the surface at the answer, outliers included."""
+    """The distance and the angle of each contact to the surface at the answer, outliers included."""
 
     distance: Array
     """(n,) signed distance of the contact point to the surface [m], positive outside."""
@@ -123,7 +145,7 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """A `Hypothesis` is one mode of the posterior."""
+    """One mode of the posterior."""
 
     T_palm_object: Array
     """(4, 4) pose of the object in the palm."""
@@ -140,13 +162,16 @@ class Hypothesis:
     __repr__ = short_repr
 
 
+NORMALS = "normals"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Conflict:
-    """A `Conflict` is evidence that contradicts the rest; `str` of it is a sentence."""
+    """Evidence that contradicts the rest; `str` of it is a sentence."""
 
     evidence: str
     """What contradicts: "vision", "contact 3" (by its index), "group 1" (of contacts that share an error), "skin",
-    "weight", "depth" or "outside"."""
+    "weight" or "outside"; "normals" where all of them negated would fit."""
     against: str
     """The rest, such as "contacts, weight"."""
     chi2: float
@@ -164,6 +189,10 @@ class Conflict:
 
     def __str__(self) -> str:
         """Returns a sentence such as "vision contradicts contacts by 10 sigma: 3.3 mm along z"."""
+        if self.evidence == NORMALS:
+            return (
+                "normals contradict the rest: all of them negated would fit (do they point into the object?)"
+            )
         shift, turn = self.offset[:3], self.offset[3:]
         places = ["along x", "along y", "along z"]
         if len(self.offset) == 2:  # distance and angle of a contact
@@ -179,7 +208,7 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseEstimate:
-    """A `PoseEstimate` is the object's pose in the palm with its uncertainty.
+    """The object's pose in the palm with its uncertainty.
 
     Its properties read the record that the kernel has written, `answer`.
     """
@@ -200,13 +229,6 @@ class PoseEstimate:
     """Which evidence contradicts the rest, the least probable one first; then what was left out of the answer."""
 
     @classmethod
-    def trusted(cls, modes: NDArray[np.void], residual_rows: Array) -> PoseEstimate:
-        """Returns the estimate whose evidence fits, with all contacts in use, in a third of the time of `__init__`."""
-        estimate = object.__new__(cls)
-        estimate.__dict__["modes"], estimate.__dict__["residual_rows"] = modes, residual_rows
-        return estimate
-
-    @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
         """Returns the estimate of a pose (4, 4) without touch: one mode, no residuals.
 
@@ -214,9 +236,12 @@ class PoseEstimate:
         """
         modes = np.zeros(1, dtype=ANSWER)
         answer = modes[0]
-        answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
-        answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
-        answer["pose"]["rotation"], answer["pose"]["position"] = T_palm_object[:3, :3], T_palm_object[:3, 3]
+        answer["T_palm_object"] = T_palm_object
+        answer["pose"]["rotation"] = T_palm_object[:3, :3]
+        answer["pose"]["position"] = T_palm_object[:3, 3]
+        answer["covariance"] = covariance
+        answer["information"] = np.linalg.inv(covariance)
+        answer["weight"] = answer["converged"] = answer["complete"] = 1
         answer["open_count"] = len(unobservable)
         answer["unobservable"][: len(unobservable)] = unobservable
         return cls(modes, np.empty((0, 2)))
@@ -241,7 +266,7 @@ class PoseEstimate:
 
         `residuals` (n, 2): distance [m] and angle [rad] of each contact; None: as they are.
         """
-        modes = np.ndarray(len(self.modes), ANSWER, bytearray(self.modes.tobytes()))
+        modes = self.modes.copy()
         answer = modes[0]
         answer["T_palm_object"], answer["information"] = T_palm_object, information
         answer["complete"] = covariance is not None
@@ -258,7 +283,8 @@ class PoseEstimate:
 
     @property
     def T_palm_object(self) -> Array:
-        """(4, 4) pose of the object in the palm: of the best mode the maximum or the mean, by the argument `answer`."""
+        """(4, 4) pose of the object in the palm: the maximum of the best mode or, where that is not Gaussian, its mean,
+        as of a slide that ends at edges but is not fixed between them."""
         T: Array = self.answer["T_palm_object"]
         return T
 

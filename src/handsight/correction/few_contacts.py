@@ -16,35 +16,30 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes, solve
 from handsight.correction.problem import Problem, Records
 
-
-class DrawOptions(NamedTuple):
-    """`DrawOptions` say how a posterior by few contacts is drawn from."""
-
-    draws: int = 384
-    draws_single: int = 192  # where there is one minimum
-    least_departure: float = 3.0
-    """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
-    lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
-    most_outside: int = 8  # points of the hand and planes; with more, the draws' costs take too long
-    most_minima: int = 12  # minima that draws are about, the likeliest
-    widened: float = 1.3  # how much wider than a minimum the draws about it are
-    tempered: float = 0.5  # power of a minimum's probability by which these are shared out
-    own: float = 6.0
-    """How many draws a mode's own covariance counts for: as many as leave none of the six directions out."""
-    negligible: float = 1e-6  # probability of a mode that is left out
-    level: float = 0.99  # probability of the region that holds as many of the draws
+NUMBER = 384
+NUMBER_SINGLE = 192  # where there is one minimum
+LEAST_DEPARTURE = 3
+"""One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
+lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
+MOST_OUTSIDE = 8  # points of the hand and planes; with more, the draws' costs take too long
+MOST_MINIMA = 12  # minima that draws are about, the likeliest
+WIDENED = 1.3  # how much wider than a minimum the draws about it are
+TEMPERED = 0.5  # power of a minimum's probability by which these are shared out
+OWN = 6
+"""How many draws a mode's own covariance counts for: as many as leave none of the six directions out."""
+NEGLIGIBLE = 1e-6  # probability of a mode that is left out
+LEVEL = 0.99  # probability of the region that holds as many of the draws
 
 
-DRAWS = DrawOptions()
 DIMENSIONS = 6  # of a pose
 FREEDOM = 4
 """Degrees of freedom of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded."""
-LOG_T = float(np.log(24.0) - 3 * np.log(4 * np.pi)) + 3 * float(np.log(2 * np.pi))
+LOG_T = float(np.log(24) - 3 * np.log(4 * np.pi)) + 3 * float(np.log(2 * np.pi))
 """Log of what normalises that t, Γ(5) / (Γ(2) (4π)³), over what normalises a Gaussian."""
 
 
 class Mixture(NamedTuple):
-    """A `Mixture` of Student's t distributions of d of a pose's coordinates."""
+    """A mixture of Student's t distributions of d of a pose's coordinates."""
 
     centers: Array
     """(k, d) [m]."""
@@ -75,7 +70,7 @@ class Mixture(NamedTuple):
 @lru_cache(maxsize=1)
 def _standard() -> Array:
     """Returns draws of the standard t (n, 6)."""
-    rng, number = np.random.default_rng(0), DRAWS.draws
+    rng, number = np.random.default_rng(0), NUMBER
     return np.asarray(
         rng.normal(size=(number, DIMENSIONS)) / np.sqrt(rng.chisquare(FREEDOM, (number, 1)) / FREEDOM)
     )
@@ -92,7 +87,7 @@ def may_draw(problem: Problem) -> bool:
         not problem.blind
         and modes.has_detail(model)
         and modes.several_minima(model, problem.rows, len(problem.contacts))
-        and len(problem.outside) <= DRAWS.most_outside
+        and len(problem.outside) <= MOST_OUTSIDE
         and not len(model.symmetries.axes)
         and (error is None or not error.values[..., 2].any())
     )
@@ -100,7 +95,7 @@ def may_draw(problem: Problem) -> bool:
 
 def have_draws(rows: Records) -> bool:
     """Returns whether the modes (K,) ANSWER of such a problem are drawn from."""
-    return len(rows) > 1 or bool(rows[0]["departure"] > DRAWS.least_departure)
+    return len(rows) > 1 or bool(rows[0]["departure"] > LEAST_DEPARTURE)
 
 
 def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
@@ -116,9 +111,9 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
     places = se3.difference(rows["T_palm_object"], T) @ along.T
     likely = rows["log_weight"] > rows["log_weight"].max() - SEARCH.unlikely
     near = np.linalg.norm(places[:, 3:], axis=1) < np.pi / 2 * problem.model.radius
-    chosen = np.flatnonzero(likely & near)[: DRAWS.most_minima]
+    chosen = np.flatnonzero(likely & near)[:MOST_MINIMA]
     covariances = along @ rows["covariance"] @ along.T
-    number = DRAWS.draws if len(rows) > 1 else DRAWS.draws_single
+    number = NUMBER if len(rows) > 1 else NUMBER_SINGLE
 
     def log_density(x: Array) -> Array:
         """Returns the log density (n,) of the posterior at coordinates (n, 6), up to a constant."""
@@ -128,25 +123,26 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
         log_volume = 2 * np.log(np.sinc(np.minimum(half / np.pi, 0.5)))
         return np.where(half < np.pi / 2, log_volume - cost / 2, -np.inf)
 
-    shares = np.exp(DRAWS.tempered * (rows["log_weight"][chosen] - rows["log_weight"][chosen[0]]))
+    shares = np.exp(TEMPERED * (rows["log_weight"][chosen] - rows["log_weight"][chosen[0]]))
     ridge = 1e-12 * np.eye(DIMENSIONS)
-    roots = DRAWS.widened * np.linalg.cholesky(covariances[chosen] + ridge)
+    roots = WIDENED * np.linalg.cholesky(covariances[chosen] + ridge)
     mixture = Mixture(places[chosen], roots, shares / shares.sum())
     x = mixture.draws(_standard()[:number])
     logs = log_density(x) - np.log(mixture.density(x))
     weights = np.exp(logs - logs.max())
-    log_mean, weights = logs.max() + np.log(weights.mean()), weights / weights.sum()
+    log_mean = logs.max() + np.log(weights.mean())
+    weights /= weights.sum()
     # Draws belong to the nearest mode, in units of the distance at which two are distinct.
     model = problem.model
-    distinct = modes.distinct(model, rows["T_palm_object"], np.arange(len(rows)), modes.MODES.max_modes)
-    centers = [j for j in distinct if j in chosen]
-    gaps = [(x - places[j]).reshape(-1, 2, 3) for j in centers]
+    distinct = modes.distinct(model, rows["T_palm_object"], np.arange(len(rows)), modes.MAX_MODES)
+    centers = np.array([j for j in distinct if j in chosen])
+    gaps = (x - places[centers, None]).reshape(len(centers), -1, 2, 3)
     limits = np.array(modes.SAME_MODE) * [1.0, model.radius]
-    nearest = np.argmin([(np.linalg.norm(gap, axis=2) / limits).max(axis=1) for gap in gaps], axis=0)
+    nearest = (np.linalg.norm(gaps, axis=3) / limits).max(axis=2).argmin(axis=0)
     merged = [rows[j] for j in distinct if j not in chosen]
     for k, j in enumerate(centers):
         own = weights * (nearest == k)
-        if own.sum() > DRAWS.negligible:
+        if own.sum() > NEGLIGIBLE:
             mean, covariance = _moments(x, own / own.sum(), places[j], covariances[j])
             row = rows[j].copy()
             row["T_palm_object"] = se3.moved(T, across @ mean)
@@ -154,7 +150,8 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
             row["information"] = along.T @ np.linalg.inv(covariance) @ along
             row["log_weight"] = log_mean - LOG_T + np.log(own.sum())
             merged.append(row)
-    return np.array(sorted(merged, key=lambda row: -row["log_weight"]))
+    merged.sort(key=lambda row: -row["log_weight"])
+    return np.array(merged)
 
 
 def _moments(x: Array, weights: Array, place: Array, covariance: Array) -> tuple[Array, Array]:
@@ -165,12 +162,12 @@ def _moments(x: Array, weights: Array, place: Array, covariance: Array) -> tuple
     draws as a Gaussian's: tails are heavier.
     """
     mean = weights @ x
-    effective, prior = 1 / (weights @ weights), DRAWS.own
+    effective, prior = 1 / (weights @ weights), OWN
     number, off = effective + prior, place - mean
     spread = (x - mean).T @ ((x - mean) * weights[:, None])
     C = effective * spread + prior * covariance + effective * prior / number * np.outer(off, off)
     mean, C = mean + prior / number * off, C * (1 + 1 / number) / number
     square = np.einsum("ni,ni->n", x - mean, (x - mean) @ np.linalg.inv(C))
     order = np.argsort(square)
-    within = min(int(np.searchsorted(np.cumsum(weights[order]), DRAWS.level)), len(x) - 1)
-    return mean, C * max(1.0, square[order[within]] / modes.chi2_limit(DIMENSIONS, 1 - DRAWS.level))
+    within = min(int(np.searchsorted(np.cumsum(weights[order]), LEVEL)), len(x) - 1)
+    return mean, C * max(1.0, square[order[within]] / modes.chi2_limit(DIMENSIONS, 1 - LEVEL))

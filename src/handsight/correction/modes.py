@@ -2,7 +2,6 @@
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,18 +11,12 @@ from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel
 
-SAME_MODE = (0.015, float(np.deg2rad(20.0)))
+SAME_MODE = (0.015, float(np.deg2rad(20)))
 """Two modes are distinct when they differ by more than this shift [m] or by more than this turn [rad]."""
 
 
-class ModeOptions(NamedTuple):
-    """`ModeOptions` say which modes are reported."""
-
-    max_modes: int = 8  # modes that are reported
-    max_minima: int = 16  # minima that are parts of modes
-
-
-MODES = ModeOptions()
+MAX_MODES = 8  # modes that are reported
+MAX_MINIMA = 16  # minima that are parts of modes
 
 
 def in_metres(information: Array, radius: float) -> Array:
@@ -101,7 +94,7 @@ def chi2_limit(freedom: int, alarm: float) -> float:
 
     By Newton's steps on the logarithm of the probability, which is concave; a step out of the bracket halves it.
     """
-    low, high = 0.0, freedom + 10 * math.sqrt(2 * freedom) + 100.0
+    low, high = 0.0, freedom + 10 * math.sqrt(2 * freedom) + 100
     x, log_gamma = float(freedom), math.lgamma(freedom / 2)
     for _ in range(100):
         survival = chi2_survival(x, freedom)

@@ -9,7 +9,6 @@ as Gaussian there (`_kernels/posterior/lattice.py`).
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,31 +21,24 @@ from handsight.checks import Array, Indices
 from handsight.correction import modes
 from handsight.correction.few_contacts import FREEDOM, Mixture
 from handsight.correction.mean import across_axes
-from handsight.correction.problem import Budget, Problem, Records, Steps
+from handsight.correction.problem import Problem, Records, Steps
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
-
-class OpenDrawOptions(NamedTuple):
-    """`OpenDrawOptions` are the numbers of draws."""
-
-    first: int = 384  # from what contacts and vision leave open
-    again: int = 1536  # the same where the evidence fits at none of their modes
-    each: int = 96  # of a round
-    most: int = 1152  # besides the first ones, after which no round follows
-    centers: int = 16  # draws that a round is about
-    narrower: float = 0.5  # factor on the spread about every other one, as modes are narrower
-    least: float = 24.0
-    """How many draws a round's centers count for: weights are flattened, by a power, until they do."""
-    enough: float = 80.0  # the same of draws after which no round follows
-    kept: int = 12  # likeliest draws that are starts
-
-
-DRAWS = OpenDrawOptions()
+FIRST_DRAWS = 384  # from what contacts and vision leave open
+MORE_DRAWS = 1536  # the same where the evidence fits at none of their modes
+EACH = 96  # of a round
+MOST = 1152  # besides the first ones, after which no round follows
+CENTERS = 16  # draws that a round is about
+NARROWER = 0.5  # factor on the spread about every other one, as modes are narrower
+LEAST = 24
+"""How many draws a round's centers count for: weights are flattened, by a power, until they do."""
+ENOUGH = 80  # the same of draws after which no round follows
+KEPT = 12  # likeliest draws that are starts
 
 
 def draw(
-    problem: Problem, T_palm_object: Array, information: Array, limit: Budget, first: int
+    problem: Problem, T_palm_object: Array, information: Array, first: int
 ) -> Steps[tuple[Array, Array, Array]]:
     """Returns the likeliest poses (k, 4, 4), and the mean (4, 4) and the covariance (6, 6) of the posterior.
 
@@ -55,29 +47,30 @@ def draw(
     """
     rng, T = np.random.default_rng(first), T_palm_object
     flat, directions, widths = _open_directions(problem.model, T, information)
-    d, given = len(directions), problem.arguments(np.ones((1, len(problem.contacts)), bool))
+    d, given = len(directions), problem.arguments(problem.everyone)
     mixture, mixtures = Mixture(np.zeros((1, d)), np.diag(widths)[None], np.ones(1)), list[Mixture]()
-    points, density, lateral = np.zeros(0, LATTICE_POINT), np.zeros(0), np.zeros((DRAWS.each, 6))
+    points, density, lateral = np.zeros(0, LATTICE_POINT), np.zeros(0), np.zeros((EACH, 6))
     while True:
-        new = np.zeros(DRAWS.each, LATTICE_POINT)
+        new = np.zeros(EACH, LATTICE_POINT)
         standard = rng.normal(size=(len(new), 6)) @ directions.T
         standard /= np.sqrt(rng.chisquare(FREEDOM, (len(new), 1)) / FREEDOM)
         new["index"][:, :d], new["lateral"] = mixture.draws(standard), lateral
-        in_parts(partial(batch.visit_all, *given, T, flat), (new,), DRAWS.each // 2)
+        in_parts(partial(batch.visit_all, *given, T, flat), (new,), EACH // 2)
         yield
         there = sum((m.density(new["index"][:, :d]) for m in mixtures), np.zeros(len(new)))
-        points, density, mixtures = np.append(points, new), np.append(density, there), [*mixtures, mixture]
-        density += mixture.density(points["index"][:, :d])
+        mixtures.append(mixture)
+        points = np.append(points, new)
+        density = np.append(density, there) + mixture.density(points["index"][:, :d])
         flat["most_cost"] = points["cost"].min() + 2 * INTEGRATION.given_up
         # Where the evidence fits nowhere, all logarithms may be -inf; then all draws count alike.
         logs = np.maximum(points["log_weight"], -1e300) - np.log(density)
-        enough = _effective(np.exp(logs - logs.max())) >= DRAWS.enough
-        if limit.spent() or (len(points) >= first and (enough or len(points) >= first + DRAWS.most)):
+        enough = _effective(np.exp(logs - logs.max())) >= ENOUGH
+        if len(points) >= first and (enough or len(points) >= first + MOST):
             break
         if len(points) >= first:
             mixture, chosen = _next_round(points["index"][:, :d], logs, rng)
-            lateral = points["lateral"][np.repeat(chosen, DRAWS.each // DRAWS.centers)]
-    weights, best = _flattened(logs, DRAWS.least), np.argsort(points["cost"], kind="stable")[: DRAWS.kept]
+            lateral = points["lateral"][np.repeat(chosen, EACH // CENTERS)]
+    weights, best = _flattened(logs, LEAST), np.argsort(points["cost"], kind="stable")[:KEPT]
     mean = weights @ points["moved"]
     off = points["moved"] - mean
     C = off.T @ (off * weights[:, None]) + np.einsum("k,kij", weights, points["within"])
@@ -109,19 +102,19 @@ def _next_round(x: Array, logs: Array, rng: np.random.Generator) -> tuple[Mixtur
     Every other one is chosen by weights that are flattened, so that early rounds spread; the others, by plain weights,
     are drawn about more closely.
     """
-    at = (np.arange(DRAWS.centers) + rng.random()) / DRAWS.centers
-    weights, d = _flattened(logs, DRAWS.least), x.shape[1]
+    at = (np.arange(CENTERS) + rng.random()) / CENTERS
+    weights, d = _flattened(logs, LEAST), x.shape[1]
     chosen, plain = (np.searchsorted(np.cumsum(w), at) for w in (weights, _flattened(logs, 1.0)))
     chosen[1::2] = plain[1::2]
     chosen = np.minimum(chosen, len(x) - 1)
     off = x - weights @ x
     values, vectors = np.linalg.eigh(off.T @ (off * weights[:, None]))
     # Silverman's rule for the width of a density kernel.
-    width = (4 / ((d + 2) * DRAWS.least)) ** (1 / (d + 4))
+    width = (4 / ((d + 2) * LEAST)) ** (1 / (d + 4))
     root = (vectors * (width * np.sqrt(np.maximum(values, 1e-12)))) @ vectors.T
-    roots = np.repeat(root[None], DRAWS.centers, axis=0)
-    roots[1::2] *= DRAWS.narrower
-    return Mixture(x[chosen], roots, np.full(DRAWS.centers, 1 / DRAWS.centers)), chosen
+    roots = np.repeat(root[None], CENTERS, axis=0)
+    roots[1::2] *= NARROWER
+    return Mixture(x[chosen], roots, np.full(CENTERS, 1 / CENTERS)), chosen
 
 
 def _effective(weights: Array) -> Array:

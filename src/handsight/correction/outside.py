@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,6 @@ from handsight._kernels.evidence.outside_term import load_points
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
-from handsight.contact.taxels import SkinTouch
 from handsight.correction.problem import check_number
 from handsight.correction.skin import SkinEvidence
 from handsight.errors import InvalidInput
@@ -29,7 +27,7 @@ NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 
 @dataclass(frozen=True)
 class Plane:
-    """A `Plane` is a plane that the object cannot cross."""
+    """A plane that the object cannot cross."""
 
     point_palm: Array
     """(3,) any point of the plane [m]."""
@@ -48,7 +46,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Outside:
-    """An `Outside` has points and planes of which the object cannot contain any point."""
+    """Points and planes of which the object cannot contain any point."""
 
     points_palm: ArrayLike = ()
     """(m, 3) points of the hand's surface in the palm frame [m]."""
@@ -64,69 +62,29 @@ class Outside:
     """How deep in the object a point may be at no cost [m], as a link may be smaller than its shape; one for all points
     or (m,). None: 0."""
 
-    skin: ArrayLike | None = None
-    """Deprecated: the `sigmas` (6,) of a tactile array, which is now `correct_pose(skin=SkinEvidence(...))`."""
-
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
         points = _points(self.points_palm)
+        n = len(points)
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
         if self.links is not None:
-            object.__setattr__(self, "links", _links(self.links, len(points)))
-        for name, least in (("sigmas", checks.MIN_SIGMA), ("slacks", 0.0)):
-            if getattr(self, name) is not None:
-                limits = least, checks.MAX_DISTANCE
-                numbers = _each(getattr(self, name), f"outside.{name}", len(points), limits)
-                object.__setattr__(self, name, numbers)
-        if self.skin is not None:
-            warnings.warn("Outside.skin is now SkinEvidence, for correct_pose(skin=)", DeprecationWarning, 3)
-            object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
-
-    @classmethod
-    def of_skin(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Outside:
-        """Returns the untouched taxels of an array. Deprecated: `SkinEvidence.of` has the pressed taxels as well."""
-        skin = SkinEvidence.of(touch, T_palm_frame, by_error)
-        return cls(skin.untouched_palm, sigmas=skin.sigma_untouched, skin=skin.sigmas)
-
-    def joined(self, other: Outside) -> Outside:
-        """Returns the points and planes of both; points that have no sigmas get NaN, so each must have its own."""
-        counts = [len(np.asarray(each.points_palm)) for each in (self, other)]
-
-        def both(name: str, usual: float) -> Array:
-            """Returns a field of all points (m,), with the usual value where one of the two does not state it."""
-            given = [getattr(each, name) for each in (self, other)]
-            return np.concatenate(
-                [np.broadcast_to(usual if v is None else v, n) for v, n in zip(given, counts, strict=True)]
-            )
-
-        mine, theirs = (
-            np.arange(n) if each.links is None else np.asarray(each.links)
-            for each, n in zip((self, other), counts, strict=True)
-        )
-        skins = [np.asarray(each.skin) for each in (self, other) if each.skin is not None]
-        return Outside(
-            np.concatenate([np.reshape(each.points_palm, (-1, 3)) for each in (self, other)]),
-            [*self.planes, *other.planes],
-            sigmas=both("sigmas", np.nan),
-            links=np.concatenate([mine, theirs + (mine.max(initial=-1) + 1 - theirs.min(initial=0))]),
-            slacks=both("slacks", 0.0),
-            skin=np.max(skins, axis=0) if skins else None,
-        )
+            object.__setattr__(self, "links", _links(self.links, n))
+        if self.sigmas is not None:
+            object.__setattr__(self, "sigmas", _each(self.sigmas, "outside.sigmas", n, checks.MIN_SIGMA))
+        if self.slacks is not None:
+            object.__setattr__(self, "slacks", _each(self.slacks, "outside.slacks", n, 0.0))
 
     @classmethod
     def trusted(
-        cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
+        cls, points_palm: Array, sigmas: Array | None = None, links: Indices | None = None
     ) -> Outside:
         """Returns points of links, whose arrays are neither checked nor copied; for control loops."""
         outside = object.__new__(cls)
-        given: dict[str, Any] = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links}
-        given |= {"slacks": slacks, "skin": None}
-        for name, value in given.items():
-            object.__setattr__(outside, name, value)
+        outside.__dict__.update(points_palm=points_palm, sigmas=sigmas, links=links)
         return outside
 
 
@@ -138,12 +96,12 @@ def _points(value: ArrayLike) -> Array:
     return points
 
 
-def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
-    """Returns one number () or n numbers (n,) between limits; raises InvalidInput."""
+def _each(value: ArrayLike, name: str, n: int, least: float) -> Array:
+    """Returns one number () or n numbers (n,), from `least` to MAX_DISTANCE; raises InvalidInput."""
+    most = checks.MAX_DISTANCE
     numbers = checks.finite(value, name, (n,) if checks.ndim(value) else ())
-    if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
-        low, high = limits
-        raise InvalidInput(f"{name}: expected numbers from {low:g} to {high:g}, got {checks.brief(value)}")
+    if ((numbers < least) | (numbers > most)).any():
+        raise InvalidInput(f"{name}: expected numbers from {least:g} to {most:g}, got {checks.brief(value)}")
     return numbers
 
 
@@ -168,32 +126,31 @@ def outside_records(
     """
     if outside is None and skin is None:
         return NO_OUTSIDE
-    given: Any = outside if isinstance(outside, Outside) else None
-    planes: Sequence[Plane] = () if given is None else given.planes
-    places: Any = outside if given is None else given.points_palm
-    # The numbers in a usual array are checked as they become records: every call saved here is some per cent of all.
-    usual = type(places) is np.ndarray and places.dtype == np.float64 and places.shape[1:] == (3,)
-    if not usual or len(places) > MOST_POINTS:
-        places = _points(() if places is None else places)
-    untouched = () if skin is None else skin.untouched_palm
-    n, m = len(places), len(untouched)
-    count = n + m + len(planes)
-    # Of bytes: np.zeros would read more from memory.
-    rows = np.ndarray(count, OUTSIDE, bytearray(count * OUTSIDE.itemsize))
-    if n and not load_points(places, contacts.record, model.diameter, rows):
-        _points(places)  # raises InvalidInput
-    if given is not None:
-        for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
-            if values is not None:
-                rows[name][:n] = values
-        if given.links is not None and (given.links[1:] < given.links[:-1]).any():
-            rows[:n] = rows[np.argsort(given.links, kind="stable")]
-    if m and skin is not None:
+    given: Any = outside
+    if not isinstance(outside, Outside):
+        # A usual array is checked as its numbers become records, which takes half the time of all other checks.
+        usual = type(outside) is np.ndarray and outside.dtype == np.float64 and outside.shape[1:] == (3,)
+        trusted = usual and len(given) <= MOST_POINTS
+        given = Outside.trusted(given) if trusted else Outside(() if outside is None else outside)
+    n = len(given.points_palm)
+    m = 0 if skin is None else len(skin.untouched_palm)
+    rows = np.zeros(n + m + len(given.planes), dtype=OUTSIDE)
+    if n and not load_points(given.points_palm, contacts.record, model.diameter, rows):
+        _points(given.points_palm)  # raises InvalidInput
+    links = given.links
+    for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", links)):
+        if values is not None:
+            rows[name][:n] = values
+    if links is not None and (links[1:] < links[:-1]).any():
+        rows[:n] = rows.take(np.argsort(links, kind="stable"))
+    if skin is not None:
         taxels = rows[n : n + m]
-        taxels["point"], taxels["sigma"] = untouched, skin.sigma_untouched
-        taxels["link"] = np.arange(m) + (rows["link"][:n].max() + 1 if n else 0)
-    for i, plane in enumerate(planes, n + m):
-        row = rows[i]
-        row["is_plane"], row["sigma"] = True, plane.sigma
-        row["point"], row["normal"] = plane.point_palm, plane.normal_palm
+        taxels["point"] = skin.untouched_palm
+        taxels["sigma"] = skin.sigma_untouched
+        taxels["link"] = np.arange(m) + rows["link"][:n].max(initial=-1) + 1
+    for row, plane in zip(rows[n + m :], given.planes, strict=True):
+        row["is_plane"] = True
+        row["sigma"] = plane.sigma
+        row["point"] = plane.point_palm
+        row["normal"] = plane.normal_palm
     return rows if model.closed else rows[n + m :]

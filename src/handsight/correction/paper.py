@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import MAX_DISTANCE, Array, brief, finite, positive, unit
+from handsight.checks import MAX_DISTANCE, Array, brief, finite, integer, positive, unit, within
 from handsight.errors import InvalidInput
 from handsight.se3 import compose, inverse
 
-CM_PER_M = 100.0
+CM_PER_M = 100
 MOST = 20_000
 """Largest number of points or of steps."""
 
@@ -29,7 +29,7 @@ Cost = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class PaperMethod:
-    """A `PaperMethod` is one of the paper's four methods, with its constants."""
+    """One of the paper's four methods, with its constants."""
 
     optimizer: Literal["lm", "gd"] = "lm"
     """Levenberg-Marquardt (eq. 6) or gradient descent (eq. 5)."""
@@ -59,23 +59,18 @@ class PaperMethod:
     def __post_init__(self) -> None:
         if self.optimizer not in ("lm", "gd"):
             raise InvalidInput(f"optimizer: expected 'lm' or 'gd', got {brief(self.optimizer)!r}")
-        for name in ("w_n", "damping"):
-            if not 0 <= finite(getattr(self, name), name, ()) <= MAX_DISTANCE:
-                expected = f"expected a number from 0 to {MAX_DISTANCE:g}"
-                raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
-        for name in ("epsilon", "step", "learning_rate", "tolerance"):
-            if positive(getattr(self, name), name) > MAX_DISTANCE:
-                expected = f"expected a number up to {MAX_DISTANCE:g}"
-                raise InvalidInput(f"{name}: {expected}, got {brief(getattr(self, name))}")
-        for name in ("cloud_size", "min_points", "max_iterations", "patience"):
+        for name in ("w_n", "epsilon", "step", "damping", "learning_rate", "tolerance"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST:
-                raise InvalidInput(f"{name}: expected a whole number from 1 to {MOST}, got {brief(value)}")
+            if name not in ("w_n", "damping") or value != 0:
+                positive(value, name)
+            within(finite(value, name, ()), name, MAX_DISTANCE, "numbers")
+        for name in ("cloud_size", "min_points", "max_iterations", "patience"):
+            integer(getattr(self, name), name, MOST, least=1)
 
 
 @dataclass(frozen=True, slots=True)
 class PaperResult:
-    """A `PaperResult` is a correction by the paper's method, and how its search ended."""
+    """A correction by the paper's method, and how its search ended."""
 
     T_new_old: Array
     """(4, 4), palm frame: `T_palm_object_new = T_new_old @ T_palm_object_old`."""
@@ -91,7 +86,7 @@ class PaperResult:
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """A `Matching` has what eq. 3 compares: contacts, and each one's region of the surface, in one unit of length."""
+    """What eq. 3 compares: contacts, and each one's region of the surface, in one unit of length."""
 
     points: Array
     """`f` of eq. 3, the contact points (n, 3)."""
@@ -129,7 +124,7 @@ def residuals(x: Array, matching: Matching) -> Array:
         turned = matching.normals @ np.swapaxes(M, -1, -2)
         cosine = (matching.surface_normals @ turned[..., None])[..., 0]
         cost = cost + matching.w_n * np.abs(1.0 - cosine)
-    return np.asarray(cost.min(axis=-1), dtype=np.float64)
+    return np.asarray(cost.min(axis=-1))
 
 
 def rotation(q: Array) -> Array:
@@ -140,7 +135,7 @@ def rotation(q: Array) -> Array:
     cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
     cross = cross - np.swapaxes(cross, -1, -2)
     squared = (v**2).sum(axis=-1)[..., None, None]
-    return np.asarray((w**2 - squared) * np.eye(3) + 2 * outer + 2 * w * cross, dtype=np.float64)
+    return np.asarray((w**2 - squared) * np.eye(3) + 2 * outer + 2 * w * cross)
 
 
 def forward_difference_jacobian(G: Cost, x: Array, step: float) -> tuple[Array, Array]:
@@ -152,7 +147,7 @@ def forward_difference_jacobian(G: Cost, x: Array, step: float) -> tuple[Array, 
 
 def gradient_step(x: Array, value: Array, jacobian: Array, learning_rate: float) -> Array:
     """Returns x after one step against the gradient of ½‖G‖² (eq. 5)."""
-    return np.asarray(x - learning_rate * (jacobian.T @ value), dtype=np.float64)
+    return np.asarray(x - learning_rate * (jacobian.T @ value))
 
 
 def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: float) -> Array:
@@ -162,7 +157,7 @@ def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: f
     if not np.isfinite(damped).all():
         return np.full_like(x, np.nan)
     step = np.linalg.pinv(damped, hermitian=True) @ (jacobian.T @ value)
-    return np.asarray(x - step, dtype=np.float64)
+    return np.asarray(x - step)
 
 
 def normalised(x: Array) -> Array:
@@ -210,27 +205,22 @@ def correct(
     """Returns the transform that moves the object from vision's pose to the contacts (Algorithm 1).
 
     All arguments are in the palm frame. `points_palm` (n, 3) [m] and `normals_palm` (n, 3) are the contacts and the
-    object's outward normals, which may be None where `method.normals` is False. `cloud_palm` (m, 3) [m] and
-    `cloud_normals_palm` (m, 3) sample the object's surface at vision's pose. Raises InvalidInput, also for fewer than
-    two contacts.
+    object's outward normals; None: only distances count. `cloud_palm` (m, 3) [m] and `cloud_normals_palm` (m, 3) sample
+    the object's surface at vision's pose. Raises InvalidInput for fewer than two contacts.
     """
-    points = finite(points_palm, "points_palm", (None, 3))
-    if len(points) < 2:
-        raise InvalidInput(f"points_palm: the paper's method needs at least 2 fingers, got {len(points)}")
-    cloud = finite(cloud_palm, "cloud_palm", (None, 3))
-    if len(cloud) == 0:
-        raise InvalidInput("cloud_palm: expected at least 1 point, got 0")
-    found = regions(points, cloud, method.epsilon, method.min_points)
+    if len(points_palm) < 2:
+        raise InvalidInput(
+            f"points_palm: the paper's method needs at least 2 fingers, got {len(points_palm)}"
+        )
+    found = regions(points_palm, cloud_palm, method.epsilon, method.min_points)
     normals = surface_normals = None
-    if method.normals:
-        if normals_palm is None:
-            raise InvalidInput("normals_palm: this method compares normals, got None")
-        normals = unit(normals_palm, "normals_palm", (len(points), 3))
-        cloud_normals = unit(cloud_normals_palm, "cloud_normals_palm", (len(cloud), 3))
+    if method.normals and normals_palm is not None:
+        normals = unit(normals_palm, "normals_palm", points_palm.shape)
+        cloud_normals = unit(cloud_normals_palm, "cloud_normals_palm", cloud_palm.shape)
         surface_normals = padded(cloud_normals, found, 0.0)
     matching = Matching(
-        points=CM_PER_M * points,
-        surface_points=padded(CM_PER_M * cloud, found, np.inf),
+        points=CM_PER_M * points_palm,
+        surface_points=padded(CM_PER_M * cloud_palm, found, np.inf),
         normals=normals,
         surface_normals=surface_normals,
         w_n=CM_PER_M * method.w_n,

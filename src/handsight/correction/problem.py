@@ -1,6 +1,5 @@
-"""One correction as a `Problem`, with its inputs checked and as records for the kernels; its options and its budget."""
+"""One correction as a `Problem`, with its inputs checked and as records for the kernels."""
 
-import time
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,11 +8,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight import checks
-from handsight._kernels.records import CONSTRAINTS, CONTACT, DESCENT
+from handsight import se3
+from handsight._kernels.records import CONSTRAINTS, DESCENT
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
-from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PosePrior
 from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
@@ -26,52 +24,15 @@ T = TypeVar("T")
 Steps = Generator[None, None, T]
 """A computation that pauses every millisecond or so: `finished` runs all of it, a tracker a few steps an update."""
 
+FEW = 64
+"""Contacts up to which all of them take part in the search, if none share an error; of more, so many do."""
 MOST_CONTACTS = 20_000
 """Contacts of one correction; time and memory are linear in their number."""
-MOST_STARTS = 1_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class TwoPhase:
-    """A `TwoPhase` has the options of handsight's own method."""
-
-    starts: int | None = None
-    """Number of descents, from draws of the prior; None: as many as the prior's width requires, and more if none fits.
-    Without vision it has no effect."""
-    reject_outliers: bool = True
-    """Whether a wrong contact is searched for when the contacts do not fit together."""
-
-    def __post_init__(self) -> None:
-        given = self.starts
-        is_integer = isinstance(given, int) and not isinstance(given, bool)
-        if given is not None and not (is_integer and 1 <= given <= MOST_STARTS):
-            raise InvalidInput(
-                f"starts: expected a whole number from 1 to {MOST_STARTS}, got {checks.brief(given)}"
-            )
-
-
-@dataclass(slots=True)
-class Budget:
-    """A `Budget` is the time at which a search has to end, and whether it was cut short by that."""
-
-    ends: float = np.inf
-    """The end of the search, by `time.perf_counter` [s]."""
-    cut_short: bool = False
-
-    @classmethod
-    def of(cls, seconds: float | None) -> "Budget":
-        """Returns a budget of so many seconds from now; None: without an end. Raises InvalidInput."""
-        return cls() if seconds is None else cls(time.perf_counter() + checks.positive(seconds, "budget"))
-
-    def spent(self) -> bool:
-        """Returns whether the time is over; then it sets `cut_short`, as the caller skips the rest of the search."""
-        self.cut_short = self.cut_short or time.perf_counter() >= self.ends
-        return self.cut_short
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A `Problem` is the evidence of one correction."""
+    """The evidence of one correction."""
 
     model: ObjectModel
     contacts: Contacts
@@ -79,7 +40,6 @@ class Problem:
     outside: Records
     """(m,) OUTSIDE."""
     weight: WeightEvidence | None = None
-    depth: DepthPoints | None = None
     taxels: int = 0
     """How many of the contacts, the last ones, are pressed taxels of tactile arrays."""
     on_skin: bool = False
@@ -93,17 +53,25 @@ class Problem:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")
 
     @property
+    def registered(self) -> bool:
+        """Whether the contacts are so many, or share errors, that the pose is found by registration."""
+        return is_registered(self.contacts)
+
+    @property
     def blind(self) -> bool:
         """Whether there is no vision."""
         return self.vision is None
 
     @cached_property
     def constraints(self) -> Records:
-        """(1,) CONSTRAINTS: the prior, the object's weight and depth points, each if it is given."""
+        """(1,) CONSTRAINTS: the prior and the object's weight, each if it is given."""
         record = np.zeros(1, dtype=CONSTRAINTS) if self.vision is None else self.vision.record
-        for evidence in (self.weight, self.depth):
-            record = record if evidence is None else evidence.added_to(record)
-        return record
+        return record if self.weight is None else self.weight.added_to(record)
+
+    @property
+    def everyone(self) -> Mask:
+        """(1, n) that all contacts are in use."""
+        return np.ones((1, len(self.contacts)), dtype=bool)
 
     @cached_property
     def rows_each(self) -> Indices:
@@ -113,7 +81,7 @@ class Problem:
     @cached_property
     def rows(self) -> int:
         """The rows of evidence beside the prior."""
-        return self.freedom(np.ones((1, len(self.contacts)), dtype=bool)) + (6 if self.blind else 0)
+        return self.freedom(self.everyone) + (6 if self.blind else 0)
 
     def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
         """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each
@@ -122,18 +90,22 @@ class Problem:
 
     def sets(self, used: Mask) -> Records:
         """Returns (K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
-        contacts = np.empty(used.shape, dtype=CONTACT)
-        plain(contacts)[:] = plain(self.contacts.record)
+        contacts = np.repeat(self.contacts.record[None], len(used), axis=0)
         contacts["used"] = used
         return contacts
 
-    def freedom(self, used: Mask) -> int:
-        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
-        rows = int(np.count_nonzero(used[0]) + 2 * np.count_nonzero(used[0] & self.contacts.has_normal))
-        rows += 0 if self.weight is None else 3
-        if self.depth is not None:
-            rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
+    def freedom(self, used: Mask, walls: int = 0) -> int:
+        """Returns the degrees of freedom of the χ² at a mode that meets so many walls, links or planes: the rows of
+        evidence, less six if there is no prior."""
+        rows = int(used[0] @ self.rows_each) + walls
+        if self.weight is not None:
+            rows += 3
         return max(rows - 6, 1) if self.blind else rows
+
+
+def is_registered(contacts: Contacts) -> bool:
+    """Returns whether a correction by these contacts is by registration."""
+    return len(contacts.points_palm) > FEW or len(contacts.shared_covariance) > 0
 
 
 def finished(steps: Steps[T]) -> T:
@@ -151,16 +123,6 @@ def check_number(n: int, most: int, name: str, what: str) -> None:
         raise InvalidInput(f"{name}: expected at most {most} {what}, got {n}")
 
 
-def plain(records: Records) -> Array:
-    """Returns records (...) as a view of their numbers (..., w), which NumPy copies ten times faster."""
-    return records.view(np.float64).reshape(*records.shape, -1)
-
-
-def taken(records: Records, rows: Indices) -> Records:
-    """Returns `records[rows]`, a copy, in a tenth of the time."""
-    return np.asarray(plain(records)[rows].view(records.dtype)[:, 0])
-
-
 def descents_at(Ts_palm_object: Array) -> Records:
     """Returns (K,) DESCENT whose poses are the given ones (K, 4, 4), and the rest zero."""
     descents = np.zeros(len(Ts_palm_object), dtype=DESCENT)
@@ -169,9 +131,6 @@ def descents_at(Ts_palm_object: Array) -> Records:
     return descents
 
 
-def poses_of(descents: Records) -> Array:
-    """Returns the poses (K, 4, 4) of descents, or of other records with a POSE."""
-    Ts = np.zeros((len(descents), 4, 4))
-    Ts[:, :3, :3], Ts[:, :3, 3] = descents["pose"]["rotation"], descents["pose"]["position"]
-    Ts[:, 3, 3] = 1.0
-    return Ts
+def poses_of(descents: Records | np.void) -> Array:
+    """Returns the poses (..., 4, 4) of descents (...), or of other records with a POSE."""
+    return se3.compose(descents["pose"]["rotation"], descents["pose"]["position"])

@@ -17,7 +17,7 @@ from handsight.representation import short_repr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEvidence:
-    """A `SkinEvidence` has the pressed and the untouched taxels of tactile arrays in the palm.
+    """The pressed and the untouched taxels of tactile arrays in the palm.
 
     A pressed taxel is a contact, an untouched one a point outside the object. All taxels of an array share the error of
     its position, which is added to the covariance of the answer. A face of the object that lies on an array ends where

@@ -22,7 +22,7 @@ CONTRADICTS = chi2_limit(3, 0.01)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightEvidence:
-    """A `WeightEvidence` is an object's centre of mass in the object, and in the palm by the fingertips' loads."""
+    """An object's centre of mass in the object, and in the palm by the fingertips' loads."""
 
     center_object: Array
     """(3,) position of the centre of mass in the object's frame [m]."""

@@ -3,7 +3,6 @@
 from handsight._kernels.touch.slip_records import FRICTION, SLIP
 from handsight.forces.loads import (
     LINK_TAXELS,
-    LOADS,
     LoadSensor,
     LoadSum,
     calibrate_sensors,
@@ -13,11 +12,11 @@ from handsight.forces.loads import (
 )
 from handsight.forces.object_motion import moved_with_tips, slip_twist
 from handsight.forces.slip import Slip, SlipDetector
-from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
-from handsight.forces.weight import Carried, Unknowns, Weighing, common_equations, weigh
+from handsight.forces.weigher import ObjectWeight, Weigher, WeightSensor
+from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 
 __all__ = [
-    "FRICTION", "LINK_TAXELS", "LOADS", "SLIP", "WEIGHER", "Carried", "LoadSensor", "LoadSum", "ObjectWeight", "Slip",
-    "SlipDetector", "Unknowns", "Weigher", "Weighing", "WeightSensor", "calibrate_sensors", "common_equations",
+    "FRICTION", "LINK_TAXELS", "SLIP", "Carried", "LoadSensor", "LoadSum", "ObjectWeight", "Slip",
+    "SlipDetector", "Unknowns", "Weigher", "Weighing", "WeightSensor", "calibrate_sensors",
     "load_sensors", "load_sum", "moved_with_tips", "read_in_air", "slip_twist", "weigh",
 ]  # fmt: skip

@@ -1,10 +1,10 @@
-"""The coefficient of friction, declared or learnt: the highest ratio of tangential to normal load while sliding.
+"""The coefficient of friction: what is declared is its prior, and the ratio of tangential to normal load teaches it.
 
 The ratio vector of a contact, (f_t, τ / e) / f_n, lies within a ball of radius μ, and on its surface while the contact
 slips (Howe and Cutkosky 1996: the limit surface as an ellipsoid). So μ is the highest ratio at which ratio vectors have
 turned again and again without getting longer. A load that is constant, or grows along one line, does not show μ by
-itself, but does where other evidence, such as vision, tells that the contact slides. Fingers that slide while they
-close show μ within half a second.
+itself. Where μ is declared, a force that changes at a constant ratio counts as well, as in a straight slide: a contact
+that sticks there will exceed that ratio sooner or later, and each turn weighs little beside what is declared.
 
 Fingers may have different coefficients: then their declared ratio to each other is kept, and one factor is learnt.
 """
@@ -32,8 +32,18 @@ class Friction:
         self._heap: tuple[float, int] | None = None  # mean ratio of the highest heap, and its turns
         self._kept_up = 0.0  # the highest ratio that two fingers have kept up
 
-    def update(self, turns: Sequence[tuple[float, int]], kept_up: float, error: float = 0.0) -> None:
-        """Learns from ratios at which ratio vectors have turned, each counted so often.
+    @property
+    def declared(self) -> bool:
+        """Whether a coefficient was declared."""
+        return self._declared is not None
+
+    @property
+    def certain(self) -> bool:
+        """Whether the coefficient is known well enough, from what was declared and the loads together."""
+        return self.sigma is not None and self.sigma <= FRICTION.max_sigma * (self.coefficient or 0.0)
+
+    def update(self, turns: Sequence[float], kept_up: float, error: float = 0.0) -> None:
+        """Learns from ratios at which ratio vectors have turned.
 
         `kept_up`: the highest ratio that two fingers have kept up, or the only one that has touched. `error`: standard
         deviation of the ratios, as a share of them, by which a heap is wider.
@@ -44,26 +54,23 @@ class Friction:
             return
         if turns:
             self._turns = self._turns.copy()
-            for ratio, count in turns:
-                self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += count
-            shared = FRICTION.near_heap * kept_up
-            shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
-            mean, total = highest_heap(self._turns, shared_bin, self._error)
+            for ratio in turns:
+                self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += 1
+            mean, total = highest_heap(self._turns, self._error)
             self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
-        # What was declared and the heap are joined; the ratios that were kept up bound μ from below.
-        kept = FRICTION.noise_margin * kept_up
         estimates = [] if self._declared is None else [self._declared]
+        learnt = math.inf
         if self._heap is not None:
             heap, total = self._heap
-            sigma = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(total))
-            if total < FRICTION.certain_turns or kept > FRICTION.near_heap * heap:
-                sigma = FRICTION.doubtful_sigma
-                heap = min(max(heap, kept), FRICTION.max_above * heap)
-            estimates.append((heap, sigma * heap))
-        if estimates:
-            mu, sigma = joined(estimates)
-            self.coefficient = mu if self._declared is None else max(mu, kept)
-            self.sigma = sigma * self.coefficient / mu
+            learnt = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(total))
+            estimates.append((heap, learnt * heap))
+        if not estimates:
+            return
+        mu, sigma = joined(estimates)
+        # What was kept up bounds μ from below; but the noise of a long slide is kept up too.
+        noise = FRICTION.noise if learnt > FRICTION.max_sigma else FRICTION.noise_of_slides
+        self.coefficient = max(mu, (1 - noise) * kept_up)
+        self.sigma = sigma * self.coefficient / mu
 
 
 def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:

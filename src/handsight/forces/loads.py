@@ -28,25 +28,20 @@ from handsight.hand.chains import Chains
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-
-class LoadOptions(NamedTuple):
-    """`LoadOptions` say how loads and accelerations are read, and when a tip is in the air."""
-
-    order: int = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
-    span: float = 0.1  # length of a polynomial [s]
-    min_instants: int = 5  # fewest instants of a polynomial
-    saturated: float = 0.99  # a reading beyond this share of the sensor's full scale is not used
-    min_travel: float = 0.005  # a tip that moves so far in the palm in a window is in the air [m]
-    still: float = 0.3  # length of the means by which a sensor is calibrated [s]
-    still_turn: float = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
-    max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
-    min_readings: int = 3  # fewest of a sensor that is slower than the joints
-    patch: int = 10  # taxels whose noise adds up in the force of a patch
-    unsteady_p: float = 0.001
-    """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
+ORDER = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
+SPAN = 0.1  # length of a polynomial [s]
+MIN_INSTANTS = 5  # fewest instants of a polynomial
+SATURATED = 0.99  # a reading beyond this share of the sensor's full scale is not used
+MIN_TRAVEL = 0.005  # a tip that moves so far in the palm in a window is in the air [m]
+STILL = 0.3  # length of the means by which a sensor is calibrated [s]
+STILL_TURN = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
+MAX_BIAS = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
+MIN_READINGS = 3  # fewest of a sensor that is slower than the joints
+PATCH = 10  # taxels whose noise adds up in the force of a patch
+UNSTEADY_P = 0.001
+"""Readings vary by more than noise where noise would exceed their spread with less than this probability."""
 
 
-LOADS = LoadOptions()
 LINK_TAXELS = "the taxels of {}"  # name of the load sensor that a link's taxels are
 
 
@@ -76,9 +71,9 @@ class LoadSensor(NamedTuple):
 
 
 def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...]:
-    """Returns what measures the loads, given the names of readings that came: one for each finger, then other links.
+    """Returns what measures the load on each finger, given the names of readings that came.
 
-    Of a finger they are its six-axis sensor's, or, where only its taxels are among the names, theirs.
+    It is the finger's six-axis sensor, or, where only its taxels are among the names, they are.
     """
     surfaces = dict[str, list[TactileSurface]]()
     for surface in rig.skin.values():
@@ -95,7 +90,7 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
         sigma = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
         rest = sigma, finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
         found.append(LoadSensor(name, finger.frame, T, finger.calibration, *rest))
-    return (*found, *(_of_taxels(frame, own) for frame, own in surfaces.items()))
+    return tuple(found)
 
 
 def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
@@ -105,7 +100,7 @@ def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
     """
     points = np.concatenate([surface.points for surface in surfaces])
     middle, zero = points.mean(axis=0), np.zeros(3)
-    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 6
+    noise = np.sqrt(PATCH) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
     sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
     nothing, name = WrenchCalibration(zero, zero, 1e-9, zero), LINK_TAXELS.format(frame)
@@ -148,11 +143,11 @@ def lacking(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) 
     for sensor in sensors:
         readings = sensor.readings(observations)
         largest = np.abs(readings).max(axis=0, initial=0.0).reshape(2, 3).max(axis=1)
-        if len(readings) < LOADS.min_readings or not np.isfinite(largest).all():
+        if len(readings) < MIN_READINGS or not np.isfinite(largest).all():
             why = "measure no force: pressure alone, or full scale" if sensor.taxels else "is silent"
             return f"{sensor.name} {why}"
         alike += [sensor.name] if not sensor.taxels and (readings == readings[0]).all() else []
-        if (largest >= LOADS.saturated * np.array(sensor.full_scale)).any():
+        if (largest >= SATURATED * np.array(sensor.full_scale)).any():
             return f"{sensor.name} is at the end of its sensor's scale"
     # If all of them read the same all the time, it is a simulation without noise.
     return f"{alike[0]} always reads the same" if 0 < len(alike) < len(six_axis) else ""
@@ -188,9 +183,9 @@ def load_sum(
     J = chains.jacobians(places.copy(), np.arange(len(sensors)), axes, learnt)
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
     sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
-    B = by_bias * sigmas.ravel()
+    B, C = by_bias * sigmas.ravel(), by_joint @ rig.hand.couplings.changes(rig.hand.moving, {})
     # Errors in proportion to a load, as of hysteresis, last longer than a mean.
-    gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(LOADS.patch)
+    gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(PATCH)
     lasting = by_bias * ((gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0])[:, None] * sigmas).ravel()
     index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
@@ -201,7 +196,7 @@ def load_sum(
         by_joint=by_joint,
         by_bias=by_bias,
         readings=readings,
-        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n + lasting @ lasting.T,
+        noise=(B @ B.T + rig.sigma_joint**2 * C @ C.T) / n + lasting @ lasting.T,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
         Ts_palm_tip=np.where(taxels[:, None, None], Ts_palm_sensor, Ts_palm_link),
@@ -213,13 +208,13 @@ def load_sum(
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:
     """Returns the acceleration (n, 3) of a point of the palm [m/s²] and the angular acceleration (n, 3) [rad/s²].
 
-    Both are along the world's axes, from polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart
-    [s]. They are zero if there are fewer than `LOADS.min_instants` poses.
+    Both are along the world's axes, from polynomials over `SPAN` through poses (n, 4, 4) that are `step` apart
+    [s]. They are zero if there are fewer than `MIN_INSTANTS` poses.
     """
     n = len(Ts_world_palm)
-    if n < LOADS.min_instants or step <= 0:
+    if n < MIN_INSTANTS or step <= 0:
         return np.zeros((n, 3)), np.zeros((n, 3))
-    length = min(max(2 * round(LOADS.span / step / 2) + 1, LOADS.min_instants), n - 1 + n % 2)
+    length = min(max(2 * round(SPAN / step / 2) + 1, MIN_INSTANTS), n - 1 + n % 2)
     turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ Ts_world_palm[n // 2, :3, :3].T)
     rows = np.hstack([Ts_world_palm[:, :3, :3] @ point_palm + Ts_world_palm[:, :3, 3], turns])
     second = _second_derivative(n, length) @ rows / step**2
@@ -234,8 +229,8 @@ def _second_derivative(n: int, length: int) -> Array:
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
     derivative, steps, samples = np.zeros((n, n)), np.arange(length), np.arange(n)
-    powers = np.vander(steps - length / 2, LOADS.order + 1, increasing=True)
-    orders = np.arange(2, LOADS.order + 1)
+    powers = np.vander(steps - length / 2, ORDER + 1, increasing=True)
+    orders = np.arange(2, ORDER + 1)
     rows = (orders * (orders - 1) * powers[:, :-2]) @ np.linalg.pinv(powers)[2:]  # by step of the window
     first = np.clip(samples - length // 2, 0, n - length)
     derivative[samples[:, None], first[:, None] + steps] = rows[samples - first]
@@ -283,14 +278,14 @@ def read_in_air(
     travel = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1)
     found = np.full((len(sensors), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
-    for i in np.flatnonzero(travel > LOADS.min_travel).tolist():
+    for i in np.flatnonzero(travel > MIN_TRAVEL).tolist():
         sensor, readings = sensors[i], sensors[i].readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
         loads = np.hstack(compensated(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
         spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / sensor.sigma[0] ** 2
-        limit = chi2_limit(3 * (len(readings) - 1), LOADS.unsteady_p)
-        if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
+        limit = chi2_limit(3 * (len(readings) - 1), UNSTEADY_P)
+        if spread < limit and np.linalg.norm(mean[:3]) < MAX_BIAS:
             found[i] = mean
     return found
 
@@ -298,7 +293,7 @@ def read_in_air(
 def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     """Returns the rig with its sensors calibrated by a hand that touches nothing, still in several orientations.
 
-    `calibrate_wrench` takes the means over `LOADS.still` seconds in which the sensors hardly turned. The fingers'
+    `calibrate_wrench` takes the means over `STILL` seconds in which the sensors hardly turned. The fingers'
     sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
     names the finger, where there are too few orientations.
     """
@@ -308,12 +303,12 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         if observation.joint_positions is None or observation.T_world_palm is None:
             continue
         window.append(observation)
-        if observation.stamp - window[0].stamp < LOADS.still:
+        if observation.stamp - window[0].stamp < STILL:
             continue
         first, last = (np.array(o.T_world_palm) @ _placed(rig, sensors, o) for o in (window[0], window[-1]))
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
-        if turned.max() > LOADS.still_turn or lacking(sensors, readings):
+        if turned.max() > STILL_TURN or lacking(sensors, readings):
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
             wrenches = np.array([o.wrenches[name] for o in readings if name in o.wrenches])

@@ -6,7 +6,7 @@ at the limit. It also slips where it turns about one finger while three or more 
 
 While it slips, contacts chatter: they stick, break and close again within milliseconds, and the tangential force
 turns. A mean over vectors is then far within the limit, and so is one over ratios: a finger's ratio is therefore the
-mean of the upper half of its last readings.
+mean of the upper half of its last readings. It is at the limit where it may be within the noise of its force.
 """
 
 import math
@@ -23,6 +23,8 @@ from handsight.forces.friction import Friction, joined
 from handsight.forces.loads import LINK_TAXELS, LoadSensor, load_sensors
 from handsight.rig import Rig
 
+UNKNOWN_FRICTION = "friction is neither declared nor shown by the loads so far, so no slip is noticed"
+
 
 @dataclass(frozen=True, slots=True)
 class Slip:
@@ -38,6 +40,8 @@ class Slip:
     unmeasured: tuple[str, ...] = ()
     """Fingers that touch, and taxels that are pressed, without a measurement of their force: of pressure alone, or at
     full scale. They are no evidence of a slip, and may hold the object while all others slip."""
+    doubt: str = ""
+    """Why it cannot be told whether the object slips: friction is unknown, or too uncertain for these loads."""
 
     @property
     def least(self) -> float | None:
@@ -47,7 +51,7 @@ class Slip:
     @property
     def pivots(self) -> bool:
         """Whether fewer than two fingers are below their limits: what one finger holds can turn about it, slowly."""
-        holding = sum(ratio < SLIP.begin_ratio for ratio in self.ratios.values())
+        holding = sum(ratio < SLIP.end_ratio for ratio in self.ratios.values())
         return bool(self.ratios) and holding < 2
 
 
@@ -64,35 +68,35 @@ class SlipDetector:
         relative, prior = declared_friction(rig, friction)
         self.friction = Friction(*prior)
         self.stamp = self._at_limit = -math.inf  # stamps of the last update, and of the last at the limit [s]
-        skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
+        skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         by_wrench = {sensor.name: _limits(sensor) for sensor in load_sensors(rig, fingers.values())}
-        taxels = {fingers.get(each.frame, each.name): each for each in load_sensors(rig, skin) if each.taxels}
+        taxels = {fingers[each.frame]: each for each in load_sensors(rig, skin) if each.taxels}
         by_taxels = {name: _limits(sensor) for name, sensor in taxels.items()}
         self._numbers = {name: i for i, name in enumerate({**by_wrench, **by_taxels})}
-        """By finger, or other link with taxels, its number in the arrays below."""
+        """By finger, its number in the arrays below."""
         limits = [
             (*(first.get(name) or then[name]), relative.get(name, 1.0))
             for first, then in ((by_wrench, by_taxels), (by_taxels, by_wrench))
             for name in self._numbers
         ]
         self._limits = np.array(limits, dtype=LOAD_LIMITS)  # (2 m,) LOAD_LIMITS, as `follow_loads` takes them
-        self._memory = np.full(len(self._numbers) * LOAD_MEMORY.itemsize // 8, np.nan)
-        """(m,) LOAD_MEMORY, as plain numbers, which NumPy copies ten times faster."""
+        self._memory = np.zeros(len(self._numbers), dtype=LOAD_MEMORY)
+        for name in LOAD_MEMORY.names or ():
+            if name != "count":
+                self._memory[name] = np.nan
 
     def update(
         self,
         stamp: float,
         fingers: tuple[str, ...],
         loads: Array | None,
-        sliding: Collection[str] = (),
         by_taxels: Collection[str] = (),
     ) -> Slip:
         """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
-        `loads` (n, 5) are those on `fingers`, or on other links' taxels, by the name of their load sensor; see
-        `FingertipContacts.loads`; NaN where one does not measure its load. `sliding`: fingers of which other evidence
-        tells that they slide; friction is learnt from them. `by_taxels`: fingers whose load is their taxels'.
+        `loads` (n, 5) are those on `fingers`, see `FingertipContacts.loads`; NaN where one does not measure its load.
+        `by_taxels`: fingers whose load is their taxels'.
         """
         if not stamp > self.stamp:
             return self.now
@@ -101,38 +105,51 @@ class SlipDetector:
         numbers, m = [self._numbers[name] for name in fingers], len(self._numbers)
         if by_taxels:
             numbers = [i + m * (name in by_taxels) for name, i in zip(fingers, numbers, strict=True)]
-        self._memory, reads = self._memory.copy(), np.empty(len(loads), dtype=LOAD_READ)
+        self._memory = self._memory.copy()
+        reads = np.empty(len(loads), dtype=LOAD_READ)
+        friction = self.friction
         given = self._limits, np.array(numbers, dtype=np.int64), loads, stamp, since
-        memory = self._memory.view(LOAD_MEMORY)
-        news, kept_up, gain = follow_loads(*given, self.friction.coefficient or 1.0, memory, reads)
+        scale = friction.coefficient or 1.0
+        news, kept_up, gain = follow_loads(*given, scale, friction.declared, self._memory, reads)
         rows = dict(zip(fingers, reads.tolist(), strict=True))
-        turns = [(turned, 1) for _, _, _, turned in rows.values() if turned]
-        slides = [(rows[name][2], FRICTION.sliding_turns) for name in sliding if name in rows]
-        turns += [each for each in slides if FRICTION.min_ratio < each[0] < FRICTION.max_ratio]
-        if turns or news or sliding:
-            self.friction.update(turns, kept_up, gain)
-        mu, sigma = self.friction.coefficient, self.friction.sigma
-        # NaN does not equal itself.
-        ratios = {} if mu is None else {name: row[1] / mu for name, row in rows.items() if row[1] == row[1]}
+        turns = [turned for _, _, _, turned in rows.values() if turned]
+        if turns or news:
+            friction.update(turns, kept_up, gain)
         unmeasured = tuple([name for name, row in rows.items() if not row[0]])
+        # NaN does not equal itself.
+        held = {name: row for name, row in rows.items() if row[1] == row[1]}
+        mu = friction.coefficient
+        if mu is None:
+            self.now = Slip(unmeasured=unmeasured, doubt=UNKNOWN_FRICTION if held else "")
+            return self.now
+        ratios = {name: row[1] / mu for name, row in held.items()}
         # Hysteresis, in the ratio and in time.
-        was, least = self.now, min(ratios.values(), default=0.0)
-        known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
-        at_limit = least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio) or self._bounces(ratios)
+        was = self.now
+        least = min(ratios.values(), default=0.0)
+        highest = min((row[2] / mu for row in held.values()), default=0.0)
+        limit = SLIP.end_ratio if was.slipping else SLIP.begin_ratio
+        known = friction.declared or friction.certain
+        at_limit = highest >= limit or self._bounces(ratios)
         if known and at_limit and (gain == 0 or self._changes(fingers, numbers, ratios)):
             self._at_limit = stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
-        began = stamp if slipping and not was.slipping else was.began
-        ended = stamp if was.slipping and not slipping else was.ended
-        self.now = Slip(slipping, ratios, mu, began, ended, sigma, unmeasured)
+        self.now = Slip(
+            slipping=slipping,
+            ratios=ratios,
+            friction=mu,
+            began=stamp if slipping and not was.slipping else was.began,
+            ended=stamp if was.slipping and not slipping else was.ended,
+            sigma_friction=friction.sigma,
+            unmeasured=unmeasured,
+            doubt=_doubt(friction, highest),
+        )
         return self.now
 
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
         """Returns whether any finger's load changes by more than the error of its gain."""
-        memory = self._memory.view(LOAD_MEMORY)
         for name, number in zip(fingers, numbers, strict=True):
-            gain, one = self._limits["gain"][number], memory[number % len(memory)]
+            gain, one = self._limits["gain"][number], self._memory[number % len(self._memory)]
             limit = SLIP.change_sigmas * gain * np.linalg.norm(one["mean"])
             if name in ratios and (not gain or np.linalg.norm(one["mean"] - one["rest"]) >= limit):
                 return True
@@ -141,13 +158,25 @@ class SlipDetector:
     def _bounces(self, ratios: Mapping[str, float]) -> bool:
         """Returns whether all fingers but one are at their limit and bounce: half of their normal forces change much
         from one reading to the next, as a share of themselves."""
-        at_limit = [name for name in ratios if ratios[name] >= SLIP.begin_ratio]
+        at_limit = [name for name in ratios if ratios[name] >= SLIP.end_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
-        memory = self._memory.view(LOAD_MEMORY)[[self._numbers[name] for name in at_limit]]
+        memory = self._memory[[self._numbers[name] for name in at_limit]]
         forces = [one["last"][: one["count"], 2] for one in memory]
         chatter = [np.abs(np.diff(f)).mean() / f.mean() if len(f) > 1 else 0.0 for f in forces]
         return statistics.median(chatter) >= SLIP.min_chatter
+
+
+def _doubt(friction: Friction, ratio: float) -> str:
+    """Returns why the least ratio of the fingers does not tell whether the object slips; empty where it does."""
+    if friction.certain or friction.sigma is None or friction.coefficient is None:
+        return ""
+    share = friction.sigma / friction.coefficient
+    if ratio < 1 - share:
+        return ""
+    if not friction.declared:
+        return UNKNOWN_FRICTION
+    return f"friction is known within {share:.0%} only, and the loads are nearer to its limit than that"
 
 
 def _limits(sensor: LoadSensor) -> tuple[float, float, float, float]:

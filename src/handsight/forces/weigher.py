@@ -5,15 +5,14 @@ together. A weighing that something contradicts is not trusted; a trusted one me
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, WeightEvidence
 from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_in_air
 from handsight.forces.object_motion import moved_with_tips
@@ -24,40 +23,34 @@ from handsight.objects.symmetry import kept_center
 from handsight.observation import Observation
 from handsight.rig import Rig
 
+WINDOW = 0.2  # over which loads are averaged [s]
+MAX_GAP = 0.1  # between two observations: after a longer one averaging starts anew [s]
+MIN_OBSERVATIONS = 3  # fewest observations of a mean
+MAX_REACH = 0.5  # a centre of mass farther from the loads is not that of an object in a hand [m]
+MIN_WEIGHT = 0.25  # a smaller force is not weighed [N]
+NEW_DIRECTION = np.deg2rad(3.0)  # turn of gravity in the palm for another instant to be kept [rad]
+SAME_DIRECTION = np.deg2rad(1.5)  # a kept instant with gravity so near is replaced [rad]
+MAX_KEPT = 8  # most instants that are kept
+MAX_ACCELERATION = 0.3
+"""Instants with less acceleration [m/s²], and less than `max_turning`, are kept: others' errors are correlated."""
+MAX_TURNING = 0.5  # angular acceleration [rad/s²]
+CREEP = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
+OBJECT_CREEP = 1.5e-4
+"""Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
+more tips hold it [m]; it grows with the root of time."""
+LOOSE_OBJECT_CREEP = 3e-3
+"""The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
+of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
+SIGMA_GRAVITY = float(np.deg2rad(1.0))  # of its direction in the world, about each axis [rad]
+WRONG_MASS = 2.33
+"""A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
+sigmas is mostly that of the declared mass, so that more directions are not more chances."""
+RIGHT_MASS = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
+BIASED = 5.0  # a larger bias, in sigmas of a reading, is reported
+PULL = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
+RESTART_AFTER = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
+TRUSTED_DIRECTIONS = 3  # directions that must fit after that: with one, any load fits
 
-class WeigherOptions(NamedTuple):
-    """`WeigherOptions` say how an object in the hand is weighed over time."""
-
-    window: float = 0.2  # over which loads are averaged [s]
-    max_gap: float = 0.1  # between two observations: after a longer one averaging starts anew [s]
-    min_observations: int = 3  # fewest observations of a mean
-    max_reach: float = 0.5  # a centre of mass farther from the loads is not that of an object in a hand [m]
-    min_weight: float = 0.25  # a smaller force is not weighed [N]
-    new_direction: float = np.deg2rad(3.0)  # turn of gravity in the palm for another instant to be kept [rad]
-    same_direction: float = np.deg2rad(1.5)  # a kept instant with gravity so near is replaced [rad]
-    max_kept: int = 8  # most instants that are kept
-    max_acceleration: float = 0.3
-    """Instants with less acceleration [m/s²], and less than `max_turning`, are kept: others' errors are correlated."""
-    max_turning: float = 0.5  # angular acceleration [rad/s²]
-    creep: float = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
-    object_creep: float = 1.5e-4
-    """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
-    more tips hold it [m]; it grows with the root of time."""
-    loose_object_creep: float = 3e-3
-    """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
-    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
-    sigma_gravity: float = float(np.deg2rad(1.0))  # of its direction in the world, about each axis [rad]
-    wrong_mass: float = 2.33
-    """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
-    sigmas is mostly that of the declared mass, so that more directions are not more chances."""
-    right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
-    biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
-    pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
-    restart_after: float = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
-    trusted_directions: int = 3  # directions that must fit after that: with one, any load fits
-
-
-WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
 WRONG_SIGN = "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
@@ -110,7 +103,7 @@ class Weigher:
         """Fingers whose sensors have larger biases than calibration leaves; these are subtracted."""
         sizes = np.linalg.norm(self.tare[:, :3], axis=1)
         named = zip(self.sensors, sizes, strict=True)
-        return tuple(sensor.name for sensor, size in named if size > WEIGHER.biased * sensor.sigma[0])
+        return tuple(sensor.name for sensor, size in named if size > BIASED * sensor.sigma[0])
 
     def listen(self, observation: Observation) -> None:
         """Measures the sensors' biases while nothing is lifted, if their tips are in the air."""
@@ -153,8 +146,8 @@ class Weigher:
         load = load_sum(self.rig, window, touched, joints[0], self.sensors)
         tare = self.tare.ravel()
         load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
-        if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
-            self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
+        if np.linalg.norm(load.wrench[:3]) < MIN_WEIGHT:
+            self.reason = f"less than {MIN_WEIGHT:g} N hangs on the fingertips"
         else:
             self._summed = load
         return False
@@ -170,11 +163,11 @@ class Weigher:
                 self.forget("other sensors measure its load now")
                 self.sensors, self.tare = sensors, np.zeros((len(sensors), 6))
         window = self._window
-        if window and not 0 < observation.stamp - window[-1].stamp <= WEIGHER.max_gap:
+        if window and not 0 < observation.stamp - window[-1].stamp <= MAX_GAP:
             window = ()
         self._window = window = (*window, observation)
         lasts = observation.stamp - window[0].stamp
-        if lasts < WEIGHER.window - 1e-9 or len(window) < WEIGHER.min_observations:
+        if lasts < WINDOW - 1e-9 or len(window) < MIN_OBSERVATIONS:
             return ()
         self._window = ()
         return window
@@ -184,28 +177,28 @@ class Weigher:
         if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
             motion = moved_with_tips(self._last, load)
             T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
+            sigma = LOOSE_OBJECT_CREEP if self._loose or motion is None else OBJECT_CREEP
             sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
             self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
         self._last, self._loose, self._summed = load, pivots, None
         direction = load.gravity / np.linalg.norm(load.gravity)
-        new = _angles([each.load.gravity for each, _ in self._kept], direction) > WEIGHER.new_direction
+        new = _angles([each.load.gravity for each, _ in self._kept], direction) > NEW_DIRECTION
         far = [each for (each, _), is_new in zip(self._kept, new, strict=True) if is_new]
         self.instants = instants = (*far, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
         gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
-        exactly = Unknowns(root, biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
+        exactly = Unknowns(root, biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
             self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
-        limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
+        limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
         self.reason = ""
-        if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
+        if found.mass < -WRONG_MASS * found.sigma_mass:
             arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
             push = (load.forces * arms).sum() / (np.linalg.norm(load.forces) * np.linalg.norm(arms) + 1e-9)
-            self.reason = WRONG_SIGN if push < -WEIGHER.pull else PULLED_UP
+            self.reason = WRONG_SIGN if push < -PULL else PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -214,21 +207,21 @@ class Weigher:
             else:
                 self.reason = f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}"
         away = float(np.abs(found.center_palm - load.middle_palm).max())
-        if not self.reason and not away < WEIGHER.max_reach:
+        if not self.reason and not away < MAX_REACH:
             self.reason = f"the loads would be those of a weight {away:.1f} m away from the hand"
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
-        if not self.reason and self._doubted and len(instants) < WEIGHER.trusted_directions:
-            few = WEIGHER.trusted_directions
+        if not self.reason and self._doubted and len(instants) < TRUSTED_DIRECTIONS:
+            few = TRUSTED_DIRECTIONS
             self.reason = f"loads have fitted no weight, and not one in {few} directions since"
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         # Where only the declared mass contradicts them, the loads still fit those that were kept.
         if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
             self._fits_at = load.stamp
-        if load.stamp - self._fits_at > WEIGHER.restart_after:
+        if load.stamp - self._fits_at > RESTART_AFTER:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
-        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
+        if load.acceleration <= MAX_ACCELERATION and load.turning <= MAX_TURNING:
             self._keep(load)
 
     def _keep(self, load: LoadSum) -> None:
@@ -236,10 +229,10 @@ class Weigher:
         direction = load.gravity / np.linalg.norm(load.gravity)
         angles = _angles([way for _, way in self._kept], direction)
         near = int(angles.argmin()) if self._kept else -1
-        if near < 0 or angles[near] > WEIGHER.new_direction:
-            kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
+        if near < 0 or angles[near] > NEW_DIRECTION:
+            kept = self._kept if len(self._kept) < MAX_KEPT else self._kept[1:]
             self._kept = (*kept, (Carried(load), direction))
-        elif angles[near] < WEIGHER.same_direction:
+        elif angles[near] < SAME_DIRECTION:
             new = Carried(load), self._kept[near][1]
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
@@ -289,9 +282,9 @@ class WeightSensor:
 
     def copied(self) -> "WeightSensor":
         """Returns a copy that evolves apart from this one."""
-        copy = shallow_copy(self)
-        copy.weigher = shallow_copy(self.weigher)
-        return copy
+        other = copy(self)
+        other.weigher = copy(self.weigher)
+        return other
 
     def update(
         self,
@@ -303,10 +296,12 @@ class WeightSensor:
         lifted: bool,
         finger_on_table: bool,
         pivots: bool,
+        borne: bool,
     ) -> None:
         """Weighs the object if it is grasped and in the air; else measures the sensors' biases.
 
-        `touch` (fingers and their contacts), `joints` and `pivots` are those of `Weigher.update`.
+        `touch` (fingers and their contacts), `joints` and `pivots` are those of `Weigher.update`. `borne`: a link
+        beside the fingertips touches the object, too.
         """
         reason = ""
         if not grasped:
@@ -315,6 +310,8 @@ class WeightSensor:
             reason = "the palm has not risen since the grasp"
         elif finger_on_table:
             reason = "a finger is on the table"
+        elif borne:
+            reason = "a link beside the fingertips bears a part of it"
         if reason:
             self.weigher.forget(reason)
             self.weigher.listen(observation)

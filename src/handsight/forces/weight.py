@@ -21,35 +21,26 @@ to first order. The speed of creep, κ, is one more unknown that all instants ha
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
-from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.correction.modes import chi2_survival
 from handsight.forces.loads import LoadSum
 from handsight.gaussian_pose import kalman_update
 
-
-class WeightOptions(NamedTuple):
-    """`WeightOptions` say how mass and centre of mass are fitted to loads."""
-
-    sigma_reach: float = 0.15
-    """Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
-    along gravity while gravity has had only one direction."""
-    acceleration_share: float = 0.1  # sigma of an acceleration, as a share of it: arms lag, and hands bend
-    gyration: float = 0.05
-    """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
-    passes: int = 2
-    """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
-    min_p: float = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
-    min_p_fixed: float = 0.02  # the same for a wrench fixed in the palm, as of an object that leans on a link
-    unobservable: float = 1e-6  # share of the largest information below which a direction is unobservable
-
-
-WEIGHT_FIT = WeightOptions()
+SIGMA_REACH = 0.15
+"""Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
+along gravity while gravity has had only one direction."""
+ACCELERATION_SHARE = 0.1  # sigma of an acceleration, as a share of it: arms lag, and hands bend
+GYRATION = 0.05
+"""Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
+PASSES = 2
+"""The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
+MIN_P = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
+MIN_P_FIXED = 0.02  # the same for a wrench fixed in the palm, as of an object that leans on a link
+UNOBSERVABLE = 1e-6  # share of the largest information below which a direction is unobservable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,14 +57,13 @@ class Unknowns:
     """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
 
 
-@renamed_members(chance="p_value", chance_fixed="p_fixed")
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """A `Weighing` is an object's mass and its centre of mass in the palm, jointly with the joints' errors."""
+    """An object's mass and its centre of mass in the palm, jointly Gaussian."""
 
     mean: Array
-    """(4 + j,) mass [kg], centre in the palm [m], and the joints' offsets: reading less true position [rad]."""
-    joint_covariance: Array  # (4 + j, 4 + j) of `mean`
+    """(4,) mass [kg] and centre in the palm [m]."""
+    covariance: Array  # (4, 4) of `mean`
     chi2: float  # sum of the squared whitened residuals
     freedom: int  # degrees of freedom of `chi2`
     p_fixed: float  # p-value of the hypothesis that there is no wrench that is fixed in the palm
@@ -81,11 +71,11 @@ class Weighing:
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
         """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
-        H, off = np.eye(1, len(self.mean)), mass - self.mass
-        step, covariance = kalman_update(self.joint_covariance, H, np.array([off]), np.array([[sigma**2]]))
-        chi2 = float(self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2))
+        H, off = np.eye(1, 4), mass - self.mass
+        step, covariance = kalman_update(self.covariance, H, np.array([off]), np.array([[sigma**2]]))
+        chi2 = float(self.chi2 + off**2 / (self.covariance[0, 0] + sigma**2))
         mean, freedom = self.mean + step, self.freedom + 1
-        return replace(self, mean=mean, joint_covariance=covariance, chi2=chi2, freedom=freedom)
+        return replace(self, mean=mean, covariance=covariance, chi2=chi2, freedom=freedom)
 
     @property
     def mass(self) -> float:
@@ -95,17 +85,17 @@ class Weighing:
     @property
     def center_palm(self) -> Array:
         """(3,) [m]"""
-        return self.mean[1:4]
+        return self.mean[1:]
 
     @property
     def sigma_mass(self) -> float:
         """[kg]"""
-        return float(np.sqrt(self.joint_covariance[0, 0]))
+        return float(np.sqrt(self.covariance[0, 0]))
 
     @property
     def covariance_center(self) -> Array:
         """(3, 3) [m²]"""
-        return self.joint_covariance[1:4, 1:4]
+        return self.covariance[1:, 1:]
 
     @property
     def p_value(self) -> float:
@@ -115,7 +105,7 @@ class Weighing:
     @property
     def consistent(self) -> bool:
         """Whether no test rejects that the loads are those of a weight."""
-        return self.mass > 0 and self.p_value > WEIGHT_FIT.min_p and self.p_fixed > WEIGHT_FIT.min_p_fixed
+        return self.mass > 0 and self.p_value > MIN_P and self.p_fixed > MIN_P_FIXED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +132,9 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     """
     last = instants[-1].load
     middle, rough = last.middle_palm, float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
-    prior = np.hstack([-middle[:, None], np.eye(3)]) / (WEIGHT_FIT.sigma_reach * max(rough, 1e-3))
+    prior = np.hstack([-middle[:, None], np.eye(3)]) / (SIGMA_REACH * max(rough, 1e-3))
     if start is None or start.mass <= 0:
-        mass, moment, passes = rough, rough * middle, WEIGHT_FIT.passes
+        mass, moment, passes = rough, rough * middle, PASSES
     else:
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
@@ -159,33 +149,10 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     # Constants with a prior cost no degree of freedom; of mass and moment (4), the prior covers three.
     chi2 = float(left @ left + off @ off)
     p_fixed = score_test(fixed, left, H, covariance)
-    # Of (m, c, δq), from those of (m, m c) and of the joints in units of their sigmas.
-    Cj, D = C[:, 4 : 4 + unknowns.joints.shape[1]], np.zeros((4, 4))
+    D = np.zeros((4, 4))  # of (m, c), from those of (m, m c)
     D[0, 0], D[1:, 0], D[1:, 1:] = 1.0, -moment / mass**2, np.eye(3) / mass
-    by_center = -Cj.T @ H @ covariance @ D.T  # how the joints' errors follow those of (m, c)
-    within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
-    joints = unknowns.joints
-    across, within = joints @ by_center, joints @ within @ joints.T
-    joint = np.vstack([np.hstack([D @ covariance @ D.T, across.T]), np.hstack([across, within])])
-    mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
-    return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
-
-
-def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Weighing) -> tuple[Array, Array]:
-    """Returns H (k, k) and the slope (k,) of half the cost of one grasp's loads, by what all grasps have in common.
-
-    These k = 1 + j + 6 t are the mass less that of `found` [kg], and the errors of joints and gains, in units of their
-    sigmas and without their priors. What is the grasp's own is eliminated: the centre of mass, gravity's direction,
-    creep and biases.
-    """
-    mass, moment, j = found.mass, found.mass * found.center_palm, unknowns.joints.shape[1]
-    rows = _whitened(instants, unknowns, mass, moment)
-    start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
-    own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
-    left, gains = rows[:, -7] - start - mass * rows[:, 0], rows[:, 8 + j + len(unknowns.biases) : -7]
-    common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], gains, left])
-    common = _uncorrelated(common, np.eye(len(rows)) + own @ own.T)
-    return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
+    mean = np.concatenate([[mass], moment / mass])
+    return Weighing(mean, D @ covariance @ D.T, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
 def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
@@ -193,7 +160,7 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
     problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution."""
     score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
-    observable = values > WEIGHT_FIT.unobservable * values[-1]
+    observable = values > UNOBSERVABLE * values[-1]
     chi2 = ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()
     return chi2_survival(chi2, int(observable.sum()))
 
@@ -220,15 +187,15 @@ def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, mome
     rows[:, 3:, 7:] = G @ (Rt @ crept) * unknowns.creep
     # Force and torque are off by the same error of the acceleration.
     shaken = np.concatenate([mass * np.eye(3) + np.zeros((n, 1, 1)), lever], axis=1)
-    shaken *= WEIGHT_FIT.acceleration_share * of_loads("acceleration")[:, None, None]
+    shaken *= ACCELERATION_SHARE * of_loads("acceleration")[:, None, None]
     noise = of_loads("noise") + shaken @ shaken.swapaxes(1, 2)
-    turning = mass * WEIGHT_FIT.gyration**2 * of_loads("turning")[:, None, None]
+    turning = mass * GYRATION**2 * of_loads("turning")[:, None, None]
     moved = mass * np.array([each.sigma for each in instants])[:, None, None]
     noise[:, 3:, 3:] += turning**2 * np.eye(3) + moved**2 * G @ G.swapaxes(1, 2)
     by_joints, by_biases = of_loads("by_joint") @ unknowns.joints, by_bias * unknowns.biases
     by_gains = by_bias * (of_loads("readings") * unknowns.gains)[:, None]
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
-    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3)) + np.zeros((n, 1, 1))
+    fixed = np.diag(np.repeat([1.0, SIGMA_REACH], 3)) + np.zeros((n, 1, 1))
     rows = np.concatenate(
         [rows, by_joints, by_biases, by_gains, of_loads("wrench")[..., None], fixed], axis=2
     )

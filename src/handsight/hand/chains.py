@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.math import chain
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class JointKind(IntEnum):
-    """A `JointKind` is one of MuJoCo's kinds of joints with one position, which it calls slide and hinge."""
+    """MuJoCo's kinds of joints with one position, which it calls slide and hinge."""
 
     PRISMATIC = 2
     REVOLUTE = 3
@@ -31,7 +31,7 @@ class JointKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chains:
-    """`Chains` say how some bodies move in a base frame with the joints between."""
+    """How some bodies move in a base frame with the joints between."""
 
     joints: tuple[str, ...]  # names of the j joints that move any of the bodies, in the file's order
     starts: Indices  # (t + 1,) the joints from the base to body i are `steps[starts[i] : starts[i + 1]]`
@@ -46,16 +46,17 @@ class Chains:
         `offsets` (j,): by how much the given positions are too large. Raises an InvalidInput that names joints without
         a position, or with one that is not a finite number.
         """
-        Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
+        Ts = np.empty_like(self.homes)
+        axes = np.empty((len(self.steps), 2, 3))
         try:
             values = np.array([joint_positions[name] for name in self.joints])
         except (LookupError, TypeError, ValueError):  # one is missing, no mapping, one of arrays
-            _check_positions(joint_positions, self.joints)
+            check_positions(joint_positions, self.joints)
             raise
         numeric = values.ndim == 1 and values.dtype.kind in "iuf"  # not strings
         parts = self.starts, self.steps, self.homes
         if not numeric or not chain.poses(values - offsets, *parts, Ts, axes):
-            _check_positions(joint_positions, self.joints)
+            check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
 
@@ -67,6 +68,11 @@ class Chains:
         chain.jacobians(points, bodies, self.starts, self.steps, axes, changes, out)
         return out
 
+    def errors(self, sigma_joint: ArrayLike) -> Array:
+        """Returns the joints' errors (j, m), as they are given, or of one number: each joint's own."""
+        sigmas = np.asarray(sigma_joint, dtype=np.float64)
+        return sigmas if sigmas.ndim else sigmas * np.eye(len(self.joints))
+
 
 def transform_points(points: Array, bodies: Indices, Ts: Array) -> Array:
     """Returns points (k, 3) in the base, each given in the axes of one of the `bodies` (k,) with poses (t, 4, 4)."""
@@ -75,11 +81,12 @@ def transform_points(points: Array, bodies: Indices, Ts: Array) -> Array:
     return out
 
 
-def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
+def check_positions(joint_positions: object, joints: Iterable[str]) -> None:
     """Raises InvalidInput where the position of one of the joints is missing or not a finite number."""
     if not isinstance(joint_positions, Mapping):
-        came = checks.brief(joint_positions)
-        raise InvalidInput(f"joint_positions: expected a mapping from joint to position, got {came}")
+        raise InvalidInput(
+            f"joint_positions: expected a mapping from joint to position, got {checks.brief(joint_positions)}"
+        )
     if absent := [name for name in joints if name not in joint_positions]:
         came = checks.brief(", ".join(map(str, joint_positions))) or "none"
         raise InvalidInput(f"joint_positions: expected a position for {', '.join(absent)}; got {came}")
@@ -98,24 +105,31 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
     paths = list[list[tuple[int, float]]]()
     for body in bodies:
         # The joints from base to body, with a sign of -1 where they are passed towards their parent.
-        up, down = ancestors(model, base), ancestors(model, body)
+        up = ancestors(model, base)
+        down = ancestors(model, body)
         up, down = [b for b in up if b not in down], [b for b in down if b not in up]
         upward = [(joint, -1.0) for b in up for joint in reversed(body_joints(model, b))]
         paths.append(upward + [(joint, 1.0) for b in reversed(down) for joint in body_joints(model, b)])
     on_path = sorted({joint for path in paths for joint, _ in path})
     for joint in on_path:
-        name, body_name = model.joint(joint).name, model.body(model.jnt_bodyid[joint]).name
+        name = model.joint(joint).name
+        body_name = model.body(model.jnt_bodyid[joint]).name
         if model.jnt_type[joint] not in list(JointKind):
-            came = f"joint {name!r} of {body_name!r}, which moves in more than one direction"
-            raise InvalidInput(f"{file}: expected hinges and slides on the way, got {came}")
+            raise InvalidInput(
+                f"{file}: expected hinges and slides on the way, got joint {name!r} of {body_name!r}, which moves in "
+                "more than one direction"
+            )
         if not name:
-            expected = "expected a name for each joint on the way"
-            raise InvalidInput(f"{file}: {expected}, got none at {body_name!r}")
+            raise InvalidInput(
+                f"{file}: expected a name for each joint on the way, got none at {body_name!r}"
+            )
     rows = []
     for joint, sign in (step for path in paths for step in path):
         T = Ts_base_body[model.jnt_bodyid[joint]]
-        axis, point = sign * T[:3, :3] @ model.jnt_axis[joint], se3.apply(T, model.jnt_pos[joint][None])[0]
-        zero, kind = model.qpos0[model.jnt_qposadr[joint]], model.jnt_type[joint]
+        axis = sign * T[:3, :3] @ model.jnt_axis[joint]
+        point = se3.apply(T, model.jnt_pos[joint][None])[0]
+        zero = model.qpos0[model.jnt_qposadr[joint]]
+        kind = model.jnt_type[joint]
         rows.append((axis, point, zero, kind == JointKind.PRISMATIC, on_path.index(joint)))
     return Chains(
         joints=tuple(str(model.joint(joint).name) for joint in on_path),

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.hand.chains import Chains, JointKind, ancestors, body_joints, build_chains
-from handsight.hand.description import read
+from handsight.hand.chains import Chains, ancestors, body_joints, build_chains, check_positions
+from handsight.hand.couplings import Couplings
+from handsight.hand.description import joints_of, read
 from handsight.hand.paths import find_file
 from handsight.hand.surface import HandShape, HandSurface, LinkMesh, body_triangles, sample_evenly
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandPose:
-    """A `HandPose` is a hand with its joints at certain positions."""
+    """Hand with its joints at certain positions."""
 
     Ts_palm_tip: Array
     """(t, 4, 4) poses of the tips in the palm, in the order of the hand's tips."""
@@ -34,6 +35,9 @@ class HandPose:
     """(s, 2, 3) for each joint of each chain its axis and a point on it [m], in this pose."""
     chains: Chains
     """How the tips move in the palm."""
+    changes: Array
+    """(j, j) derivative of the moving joints' positions by their own; that of a joint which others follow moves them
+    too, where their positions were not given."""
 
     def jacobians(self, points_palm: ArrayLike, tips: Sequence[int] | None = None) -> Array:
         """Returns the Jacobians (k, 6, j) in the palm of points on the tips, by each of `moving_joints`.
@@ -45,13 +49,13 @@ class HandPose:
         count = len(self.Ts_palm_tip)
         rows = np.asarray(range(count) if tips is None else tips, dtype=np.int64)
         points = checks.finite(points_palm, "points_palm", (len(rows), 3))
-        if not all(0 <= row < count for row in rows.tolist()):
+        if ((rows < 0) | (rows >= count)).any():
             raise InvalidInput(f"tips: expected numbers from 0 to {count - 1}, got {checks.brief(rows)}")
-        return self.chains.jacobians(points, rows, self.axes_palm)
+        return self.chains.jacobians(points, rows, self.axes_palm, self.changes)
 
 
 class Hand:
-    """A `Hand` is the kinematics of a robot hand; threads may share one."""
+    """Kinematics of a robot hand; threads may share one."""
 
     file: str
     """The name of its file, as it was given."""
@@ -64,7 +68,11 @@ class Hand:
     limits: Array
     """(n, 2) least and greatest position of each joint [rad] or [m], infinite without a limit."""
     moving: tuple[str, ...]
-    """Names of the joints between the palm and the tips; only their positions are needed."""
+    """Names of the joints between the palm and the tips, coupled ones among them."""
+    needed: tuple[str, ...]
+    """Names of the joints whose positions are needed for the tips: those that drive the moving ones."""
+    couplings: Couplings
+    """The joints that follow others."""
     chains: Chains
     """How the tips move in the palm."""
     missing_meshes: tuple[str, ...]
@@ -72,20 +80,21 @@ class Hand:
 
     def __init__(self, path: str | Path, palm: str, tips: Mapping[str, str]) -> None:
         """Reads the file; see `from_file`."""
-        self.file, self.palm, self.tips = str(path), palm, dict(tips)
+        self.file = str(path)
+        self.palm = palm
+        self.tips = dict(tips)
         self._name = Path(path).name
-        self._model, self.missing_meshes = read(path)
+        self._model, self.missing_meshes, self.couplings = read(path)
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
         self.chains = build_chains(self._model, self._palm, bodies, self._name)
         self.moving = self.chains.joints
-        joints = [self._model.joint(i) for i in range(self._model.njnt)]
-        joints = [joint for joint in joints if joint.name and joint.type in list(JointKind)]
+        self.needed = self.couplings.leaders(self.moving)
+        joints = joints_of(self._model)
         self.joint_names = tuple(str(joint.name) for joint in joints)
         limits = [joint.range if joint.limited else (-np.inf, np.inf) for joint in joints]
         self.limits = np.array(limits, dtype=np.float64).reshape(-1, 2)
-        self._arm: Chains | None = None
 
     def __repr__(self) -> str:
         """Returns its file and palm, and the numbers of fingers and joints."""
@@ -105,16 +114,29 @@ class Hand:
     def Ts_palm_tip(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the poses (t, 4, 4) of the tips in the palm, in the order of `tips`.
 
-        `joint_positions`: by name [rad], for slides [m], of all joints in `moving`, coupled ones too. Others are
-        ignored, as robots publish arm and hand together. Raises an InvalidInput that names what is missing or not
-        finite.
+        `joint_positions`: by name [rad], for slides [m], of all joints in `needed`. Coupled joints follow those, unless
+        their own positions are given. Others are ignored, as robots publish arm and hand together. Raises an
+        InvalidInput that names what is missing or not finite.
         """
-        return self.chains.poses(joint_positions)[0]
+        return self.chains.poses(self.completed(joint_positions))[0]
+
+    def completed(self, joint_positions: Mapping[str, float]) -> Mapping[str, float]:
+        """Returns joint positions with those of the coupled joints that are not among them; raises InvalidInput."""
+        if not self.couplings.laws or not isinstance(joint_positions, Mapping):
+            return joint_positions
+        leaders = [name for name in self.needed if name in joint_positions]
+        check_positions(joint_positions, leaders)  # before numbers are made of them
+        known = self.couplings.completed(joint_positions)
+        absent = [name for name in self.moving if name not in known]
+        check_positions(joint_positions, self.couplings.leaders(absent))
+        return known
 
     def kinematics(self, joint_positions: Mapping[str, float]) -> HandPose:
         """Returns the poses of the tips with what their Jacobians need; raises InvalidInput as `Ts_palm_tip` does."""
-        Ts_palm_tip, axes = self.chains.poses(joint_positions)
-        return HandPose(Ts_palm_tip, self.moving, axes, self.chains)
+        positions = self.completed(joint_positions)
+        Ts_palm_tip, axes = self.chains.poses(positions)
+        changes = self.couplings.changes(self.moving, joint_positions)
+        return HandPose(Ts_palm_tip, self.moving, axes, self.chains, changes)
 
     def T_world_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the pose (4, 4) of the palm in the base frame of the file, for a file that has the arm in it.
@@ -122,10 +144,7 @@ class Hand:
         The positions of the joints between base and palm are needed; raises InvalidInput as `Ts_palm_tip` does, and
         where one of them is neither hinge nor slide.
         """
-        if self._arm is None:
-            self._arm = build_chains(self._model, 0, [self._palm], self._name)  # 0: MuJoCo's world
-        Ts_world_palm, _ = self._arm.poses(joint_positions)
-        return np.asarray(Ts_world_palm[0])
+        return np.asarray(self._arm.poses(self.couplings.completed(joint_positions))[0][0])
 
     def chains_to(self, links: Mapping[str, str]) -> Chains:
         """Returns how bodies move in the palm; the keys of `links` are the bodies' names in an InvalidInput."""
@@ -141,14 +160,14 @@ class Hand:
         only. `without`: bodies without points, such as tips that have a shape of their own. A file without shapes gives
         no points. Raises InvalidInput.
         """
-        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
-            raise InvalidInput(f"count: expected a whole number from 0 on, got {count!r:.40}")
+        number = checks.integer(count, "count", 10_000_000)
         inward = float(checks.finite(shrink, "shrink", ()))
         bodies = self._links(without)
         triangles = [body_triangles(self._model, body) for body in bodies]
-        link, points, normals = sample_evenly(triangles, int(count), seed)
+        link, points, normals = sample_evenly(triangles, number, seed)
         used, body_of = np.unique(link, return_inverse=True)
-        with_points, inside = [bodies[i] for i in used], points - inward * normals
+        with_points = [bodies[i] for i in used]
+        inside = points - inward * normals
         return HandSurface(
             bodies=self._names(with_points),
             body_of=body_of.astype(np.int64),
@@ -172,7 +191,7 @@ class Hand:
         file is read again; raises InvalidFile where it no longer exists.
         """
         try:
-            model, _ = read(self.file, visual=True)
+            model = read(self.file, visual=True).model
         except InvalidFile:  # MuJoCo refuses a visual mesh, where it took the collision meshes
             find_file(self.file)
             model = self._model
@@ -185,9 +204,10 @@ class Hand:
         slide, are left out. Raises InvalidInput for positions that are not finite numbers.
         """
         names, joints, chains = self._link_chains
-        positions = {name: joint_positions.get(name, 0.0) for name in chains.joints}
+        known = self.couplings.completed(joint_positions)
+        positions = {name: known.get(name, 0.0) for name in chains.joints}
         links = zip(names, joints, chains.poses(positions)[0], strict=True)
-        return {name: T for name, needed, T in links if all(joint in joint_positions for joint in needed)}
+        return {name: T for name, needed, T in links if all(joint in known for joint in needed)}
 
     def _shape_of(self, model: "MjModel", links: list[int]) -> HandShape:
         """Returns the visual shapes, else the collision shapes, that the model has of some links."""
@@ -204,6 +224,11 @@ class Hand:
             faces=where.reshape(-1, 3).astype(np.int64),
             chains=build_chains(self._model, self._palm, bodies, self._name),
         )
+
+    @cached_property
+    def _arm(self) -> Chains:
+        """How the palm moves in the base frame of the file."""
+        return build_chains(self._model, 0, [self._palm], self._name)  # 0: MuJoCo's world
 
     @cached_property
     def _link_chains(self) -> tuple[tuple[str, ...], list[tuple[str, ...]], Chains]:

@@ -22,17 +22,23 @@ _UNUSED_ATTRIBUTES = frozenset(["material", "user", "meshdir", "assetdir", "text
 
 
 class Mjcf:
-    """An `Mjcf` has the bodies, joints and shapes of a `<mujoco>`; raises InvalidFile for a model that is no robot."""
+    """Bodies, joints and shapes of a `<mujoco>`; raises InvalidFile for a model that is no robot."""
 
     robot: Element  # the tree for MuJoCo
     meshes: Meshes  # the mesh files that the tree names
     missing: dict[str, str]  # mesh files that do not exist, by the name of their mesh in `robot`
+    constraints: list[Element]  # what is in `<equality>`
+    tendons: list[Element]  # the fixed ones
 
     def __init__(self, root: Element, path: Path) -> None:
-        self._folder, self._included = path.parent, {path.resolve()}
+        self._folder = path.parent
+        self._included = {path.resolve()}
         self._elements = self._bodies = 0
         self._compiler: dict[str, str] = {}
-        self.meshes, self.missing = Meshes(), {}
+        self.meshes = Meshes()
+        self.missing = {}
+        self.constraints = []
+        self.tendons = []
         self.robot = Element(root.tag, root.attributes, root.file, root.line)
         self._copy(root, self.robot, 1, 1)
         folder = path.parent / self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
@@ -64,6 +70,10 @@ class Mjcf:
                 self._copy(read_xml(path), new, copies, depth + 1)
             elif child.tag in ("model", "attach"):
                 raise child.error(f"expected a robot in one model with its includes, got <{child.tag}>")
+            elif child.tag == "equality" and old.tag == "mujoco":
+                self.constraints += child.all("joint") + child.all("tendon")
+            elif child.tag == "tendon" and old.tag == "mujoco":
+                self.tendons += child.all("fixed")
             elif child.tag not in _UNUSED:
                 if child.tag == "compiler":
                     self._compiler |= child.attributes

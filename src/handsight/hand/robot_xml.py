@@ -17,7 +17,7 @@ from handsight.files import read_bytes
 
 @dataclass(slots=True)
 class Element:
-    """An `Element` is one element of an XML file, with its children and its place in the file."""
+    """One element of an XML file, with its children and its place in the file."""
 
     tag: str  # name, with the namespace before it as `{...}` where it has one
     attributes: dict[str, str]
@@ -61,7 +61,8 @@ def read_xml(path: Path) -> Element:
     if not content.strip():
         raise InvalidFile(f"{name}: expected a URDF or an MJCF, got an empty file")
     document = Element("", {}, name, 0)
-    ancestors, count = [document], 0
+    ancestors = [document]
+    count = 0
     parser = expat.ParserCreate(namespace_separator="}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -77,7 +78,8 @@ def read_xml(path: Path) -> Element:
     def doctype(*_: object) -> NoReturn:
         raise InvalidFile(f"{name}: expected a document without DOCTYPE, got one")
 
-    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
+    parser.StartElementHandler = start
+    parser.StartDoctypeDeclHandler = doctype
     parser.EndElementHandler = lambda tag: ancestors.pop()
     try:
         parser.Parse(content, True)
@@ -104,15 +106,17 @@ def check_depth(depth: int, file: str) -> None:
 def to_text(root: Element) -> tuple[str, list[Element]]:
     """Returns the text of a tree, one element a line, and the element of each line. Raises InvalidFile for a number
     that is not finite, as MuJoCo would only print a warning about it."""
-    lines, elements = list[str](), list[Element]()
+    lines = list[str]()
+    elements = list[Element]()
     texts = ("name", "class", "childclass", "mesh", "file", "filename", "link", "prefix", "model")
 
     def write(element: Element) -> None:
         """Writes an element with all in it."""
         for name, value in element.attributes.items():
             if name not in texts and re.search(r"(?i)(?<![^\s+-])(nan|inf|infinity)\b", value):
-                expected = "expected finite numbers for all links and joints"
-                raise element.error(f"{expected}, got {name}={value!r:.80}")
+                raise element.error(
+                    f"expected finite numbers for all links and joints, got {name}={value!r:.80}"
+                )
         attributes = "".join(f" {name}={quoteattr(value)}" for name, value in element.attributes.items())
         lines.append(f"<{element.tag}{attributes}>")
         elements.append(element)
@@ -125,7 +129,7 @@ def to_text(root: Element) -> tuple[str, list[Element]]:
 
 
 class Meshes:
-    """`Meshes` are mesh files under unique names: MuJoCo would take two files of one name in two folders for one."""
+    """Mesh files under unique names: MuJoCo would take two files of one name in two folders for one."""
 
     def __init__(self) -> None:
         self.contents: dict[str, bytes] = {}  # contents of the files by the name that a description is to use
@@ -148,3 +152,23 @@ def read_mesh(path: Path) -> bytes:
     content = read_bytes(path, 32 << 20, path.name)
     # Of several objects in an OBJ file MuJoCo reads one alone; without their names they are one.
     return re.sub(rb"(?m)^[og][ \t].*$", b"", content) if path.suffix.lower() == ".obj" else content
+
+
+def as_stl(path: Path, content: bytes) -> bytes:
+    """Returns a mesh file's content as binary STL, in metres where its format states a unit.
+
+    Raises InvalidFile for what is no mesh, MissingExtra for a DAE or 3MF without its extra.
+    """
+    from handsight.objects.files.read import READERS, shape_of  # brings trimesh, which most hands do not need
+
+    if path.suffix.lower() not in READERS:
+        raise InvalidFile(f"{path.name}: expected one of {', '.join(sorted(READERS))}, got another format")
+    shape = shape_of(path, content)
+    if shape.faces is None:
+        raise InvalidFile(f"{path.name}: expected triangles, got a cloud")
+    from trimesh import Trimesh
+
+    exported = Trimesh(shape.vertices, shape.faces, process=False).export(file_type="stl")
+    if not isinstance(exported, bytes):
+        raise InvalidFile(f"{path.name}: expected a mesh that can be written as STL, got another")
+    return exported

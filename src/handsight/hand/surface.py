@@ -7,9 +7,9 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from handsight import se3
-from handsight._deprecated import renamed_members
 from handsight.checks import Array, Indices
 from handsight.hand.chains import Chains, transform_points
 
@@ -71,7 +71,6 @@ class HandShape(OnLinks):
         return transform_points(self.vertices_body, self.body_of, self.chains.poses(joint_positions)[0])
 
 
-@renamed_members(placed="points_and_sensitivities")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandSurface(OnLinks):
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
@@ -84,14 +83,18 @@ class HandSurface(OnLinks):
         """Returns the points (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
         return transform_points(self.points_body, self.body_of, self.chains.poses(joint_positions)[0])
 
-    def points_and_sensitivities(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
+    def points_and_sensitivities(
+        self, joint_positions: Mapping[str, float], errors: ArrayLike = 1.0
+    ) -> tuple[Array, Array]:
         """Returns the points (k, 3) as `points_palm`, and the sensitivity (b,) of each link's middle to joint errors.
 
-        The sensitivity is the root mean square motion per axis [m] for independent errors of one radian in each joint.
+        The sensitivity is the root mean square motion per axis [m] for independent errors in each joint [rad], or for
+        `errors` (j, m) as `Rig.joint_errors` has them.
         """
         Ts, axes = self.chains.poses(joint_positions)
         bodies = np.arange(len(self.bodies))
-        by_joint = self.chains.jacobians(transform_points(self.middles, bodies, Ts), bodies, axes)[:, :3]
+        middles = transform_points(self.middles, bodies, Ts)
+        by_joint = self.chains.jacobians(middles, bodies, axes, self.chains.errors(errors))[:, :3]
         points = transform_points(self.points_body, self.body_of, Ts)
         return points, np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
 

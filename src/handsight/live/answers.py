@@ -15,7 +15,7 @@ OBJECT_FRAME = "object"
 
 
 class Answer(NamedTuple):
-    """An `Answer` is a message to be published."""
+    """A message to be published."""
 
     topic: str
     type: str
@@ -24,7 +24,7 @@ class Answer(NamedTuple):
 
 
 class Status(NamedTuple):
-    """A `Status` is one status of the diagnostics."""
+    """One status of the diagnostics."""
 
     name: str
     level: int
@@ -34,7 +34,7 @@ class Status(NamedTuple):
 
 
 class Writer:
-    """A `Writer` serialises messages in one encoding, `cdr` or `ros1`."""
+    """Serialisation of messages in one encoding, `cdr` or `ros1`."""
 
     def __init__(self, encoding: str, palm: str) -> None:
         """`palm`: the palm's frame id. Raises MissingExtra."""

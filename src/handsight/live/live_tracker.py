@@ -6,43 +6,45 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import NamedTuple
+from functools import partial
+
+import numpy as np
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import Answer, Writer
 from handsight.live.health import Health
-from handsight.live.markers import Markers
+from handsight.live.markers import markers_around, object_marker
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.clocks import PromptBuffer, ReorderBuffer
-from handsight.messages.topics import OwnTopic, RosType, rig_topics
+from handsight.messages.definitions import definitions_in
+from handsight.messages.topics import OwnTopic, RosType
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import State, Tracker, TrackerSettings
 
-
-class LiveOptions(NamedTuple):
-    """`LiveOptions` are the periods of a live tracker, and how much it remembers."""
-
-    quiet: float = 1.0  # after this time without a message, all that wait are processed [s]
-    marker_period: float = 1 / 30  # between markers [s]
-    object_period: float = 1.0  # between markers of the object itself, which /tf moves [s]
-    own_transforms: int = 200  # the last ones of its own that it knows again
-
-
-LIVE = LiveOptions()
+QUIET_AFTER = 1.0
+"""After this time without a message, all that wait are processed [s]."""
+MARKER_PERIOD = 1 / 30
+"""Time between markers [s]."""
+OBJECT_PERIOD = 1.0
+"""Time between markers of the object itself, which /tf moves [s]."""
+FRAMES = slice(16, -56)
+"""The bytes of the frames' names in a TFMessage of one transform: they are behind its stamp, and before its pose."""
 
 
 class Inbox:
-    """An `Inbox` is a bounded queue of messages; when it is full, the oldest are dropped and counted."""
+    """A bounded queue of messages; when it is full, the oldest are dropped and counted."""
 
     def __init__(self, max_waiting: int = 20_000, max_bytes: int = 1 << 28) -> None:
-        self._max_waiting, self._max_bytes = max_waiting, max_bytes
+        self._max_waiting = max_waiting
+        self._max_bytes = max_bytes
         self.dropped = Counter[str]()
         """Number of dropped messages by topic."""
-        self._waiting, self._bytes = deque[tuple[float, RawMessage]](), 0
+        self._waiting = deque[tuple[float, RawMessage]]()
+        self._bytes = 0
         self._filled = threading.Condition()
 
     def put(self, message: RawMessage, now: float) -> None:
@@ -66,12 +68,14 @@ class Inbox:
         with self._filled:
             if not self._waiting and timeout > 0:
                 self._filled.wait(timeout)
-            taken, self._waiting, self._bytes = self._waiting, deque(), 0
+            taken = self._waiting
+            self._waiting = deque()
+            self._bytes = 0
         return list(taken)
 
 
 class LiveTracker:
-    """A `LiveTracker` tracks an object in a hand by the messages of a running robot."""
+    """An object in a hand, tracked by the messages of a running robot."""
 
     publications: Mapping[str, str] = {
         OwnTopic.POSE: RosType.POSE_COVARIANCE,
@@ -96,34 +100,41 @@ class LiveTracker:
         """
         if encoding not in ("cdr", "ros1"):
             raise InvalidInput(f"encoding: expected cdr or ros1, got {encoding!r}")
-        self.rig, self.settings = rig, settings
+        self.rig = rig
+        self.settings = settings
         self.markers_wanted: Callable[[], bool] = lambda: False
         """Returns whether anybody subscribes to the markers; to be set by the transport."""
         self.show: Callable[[Observation, Tracker], None] = lambda *_: None
         """Called with each observation after its update, in the thread of `step`; such as a viewer's `update`."""
         self.equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
         self._writer = Writer(encoding, rig.frames["palm"])
-        self._markers = Markers(self._writer)
         self.tracker = Tracker(rig, model, settings=settings)
         """The tracker of the current object; only for the thread of `step`."""
         self._stream = ObservationStream(rig, order=ReorderBuffer if equal else PromptBuffer)
         self._came = time.monotonic()
+        self._accepted = threading.BoundedSemaphore(2)
+        self._fulfilling = threading.Lock()
         self.health = Health(self._stream, self._inbox.dropped)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
-        # The last ones, as not every transport can distinguish them; a dictionary, as another thread asks.
-        self._own_transforms = dict[bytes, None]()
+        # Its own transforms come back over transports that cannot tell them; they differ in stamp and pose.
+        self._own_link = self._writer.transform(0.0, np.eye(4)).data[FRAMES]
 
     @property
     def subscriptions(self) -> Mapping[str, tuple[str, ...]]:
         """The types that messages may have, as ROS 2 writes them, by the topic to subscribe to."""
-        topics = rig_topics(self.rig).values()
+        topics = self._stream.topics.values()
         return {topic.name: topic.expected for topic in topics if topic.role != "truth"} | REQUESTS
 
     @property
     def any_defined(self) -> frozenset[str]:
         """Those of them on which messages of any other type are read too, if they come with its definition."""
-        return frozenset(topic.name for topic in rig_topics(self.rig).values() if topic.any_defined)
+        return frozenset(topic.name for topic in self._stream.topics.values() if topic.any_defined)
+
+    @property
+    def definitions(self) -> Mapping[str, str]:
+        """By type, the definitions that the rig has of messages that are none of ROS' own."""
+        return definitions_in(self.rig.topics.messages)
 
     @property
     def skipped(self) -> int:
@@ -138,11 +149,43 @@ class LiveTracker:
     def put(self, message: RawMessage) -> None:
         """Adds a message, which waits for the next `step`, but not its own /tf; from any thread."""
         if message.topic in REQUESTS:
-            # An object may take seconds to build, and the transport's thread must not wait for it.
-            threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
+            self._request(message)
             return
-        if message.topic != OwnTopic.TF or message.data not in self._own_transforms:
+        if message.topic != OwnTopic.TF or message.data[FRAMES] != self._own_link:
             self._inbox.put(message, time.monotonic())
+
+    def _request(self, message: RawMessage) -> None:
+        """Begins to fulfil a request, unless one is being fulfilled and another one waits already."""
+        if not self._accepted.acquire(blocking=False):
+            self.health.noted(f"{message.topic}: refused, as two earlier requests are not done yet")
+            return
+        # An object may take seconds to build, and the transport's thread must not wait for it.
+        threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
+
+    def _fulfil(self, message: RawMessage) -> None:
+        """Fulfils a user's request; the diagnostics report the outcome."""
+        expected = REQUESTS[message.topic]
+        try:
+            with self._fulfilling:
+                if message.type not in expected:
+                    raise InvalidInput(f"expected a {expected[0]}, got {message.type}")
+                if message.topic == OwnTopic.RESET:
+                    self.reset()
+                elif message.topic == OwnTopic.OBJECT:
+                    self.set_object(requested_text(message))
+                else:
+                    self.start(message)
+        except HandsightError as error:
+            self.health.noted(f"{message.topic}: {error}")
+        finally:
+            self._accepted.release()
+
+    def published(self, topic: str, kind: str) -> None:
+        """Notes the type `package/msg/Name` of a topic on the network, as a transport may pass on expected ones only.
+
+        From any thread; may be repeated.
+        """
+        self._tasks.append(partial(self._stream.declare, topic, kind))
 
     def reset(self) -> "Future[str]":
         """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
@@ -166,40 +209,53 @@ class LiveTracker:
 
     def step(self, timeout: float = 0.1) -> list[Answer]:
         """Returns the messages to publish now; waits at most `timeout` [s] for something to do. For one thread only."""
-        order, now = self._stream.order, time.monotonic()
-        arrived = self._inbox.take(max(0.0, min(timeout, order.waits_until - now)))
+        order = self._stream.order
+        arrived = self._inbox.take(max(0.0, min(timeout, order.waits_until - time.monotonic())))
         while self._tasks:
             self._tasks.popleft()()
-        observations = list[Observation]()
-        for came, message in arrived:
-            order.now, topic = came, self._stream.topics.get(message.topic)
-            readable = 0 if topic is None else topic.readable
-            observations += self._stream.put(message)
-            if topic is not None and topic.readable > readable:
-                self.health.came(topic.name, came)
-        if (rig := self._stream.calibrated(self.rig)) is not self.rig:
-            self.rig = rig
-            self._follow(self.tracker.model, None)
-        order.now = now = time.monotonic()
-        if order.waits_until <= now:
-            observations += self._stream.ready()
-        if arrived:
-            self._came, self._flushed = arrived[-1][0], False
-        elif not self._flushed and now - self._came >= LIVE.quiet:
-            observations += self._stream.flush()
-            self._flushed = True
+        observations = self._heard(arrived)
         if not self.equal and len(observations) > 1:
             # The newest is answered, and all with a camera's pose or depth image.
             by_depth, (*older, newest) = self.rig.topics.depth is not None, observations
             kept = [o for o in older if o.vision is not None or (o.depth is not None and by_depth)]
             self.health.skipped += len(older) - len(kept)
             observations = [*kept, newest]
-        answers = [answer for each in observations for answer in self._answers(each)]
-        if answers:
-            self.health.answered(now := time.monotonic(), now - self._came)
+        answers = list[Answer]()
+        for observation in observations:
+            joints_came = order.arrived(observation.stamp)
+            found = self._answers(observation)
+            if found:
+                now = time.monotonic()
+                self.health.answered(now, now - (self._came if joints_came is None else joints_came))
+            answers += found
         if statuses := self.health.statuses(self.tracker, time.monotonic()):
             answers.append(self._writer.diagnostics(statuses))
         return answers
+
+    def _heard(self, arrived: list[tuple[float, RawMessage]]) -> list[Observation]:
+        """Returns the observations that are complete with the messages that have arrived, or have waited enough."""
+        observations = list[Observation]()
+        order = self._stream.order
+        for came, message in arrived:
+            order.now, topic = came, self._stream.topics.get(message.topic)
+            readable = 0 if topic is None else topic.readable
+            observations += self._stream.put(message)
+            if topic is not None and topic.readable > readable:
+                self.health.came(topic, came)
+        rig = self._stream.calibrated(self.rig)
+        if rig is not self.rig:
+            self.rig = rig
+            self._follow(self.tracker.model, None)
+        order.now = now = time.monotonic()
+        if order.waits_until <= now:
+            observations += self._stream.ready()
+        if arrived:
+            self._came = arrived[-1][0]
+            self._flushed = False
+        elif not self._flushed and now - self._came >= QUIET_AFTER:
+            observations += self._stream.flush()
+            self._flushed = True
+        return observations
 
     def _start(self, model: ObjectModel | None, start: PosePrior | None, message: str) -> "Future[str]":
         """Starts a new track in the next `step`; the future's result is the message."""
@@ -222,45 +278,30 @@ class LiveTracker:
     def _follow(self, model: ObjectModel, start: PosePrior | None) -> None:
         """Replaces the tracker by a new one, which starts with the joint offsets that the last one has estimated."""
         offsets = self.tracker.joint_offsets
+        self.tracker.close()
         self.tracker = Tracker(self.rig, model, start=start, settings=self.settings, joint_offsets=offsets)
         self._object_at = -math.inf
 
-    def _fulfil(self, message: RawMessage) -> None:
-        """Fulfils a user's request; the diagnostics report the outcome."""
-        try:
-            if message.type not in REQUESTS[message.topic]:
-                raise InvalidInput(f"expected a {REQUESTS[message.topic][0]}, got {message.type}")
-            if message.topic == OwnTopic.RESET:
-                self.reset()
-            elif message.topic == OwnTopic.OBJECT:
-                self.set_object(requested_text(message))
-            else:
-                self.start(message)
-        except HandsightError as error:
-            self.health.noted(f"{message.topic}: {error}")
-
     def _answers(self, observation: Observation) -> list[Answer]:
         """Returns the answers to an observation: pose, transform, and markers if somebody subscribes to them."""
-        tracker, late = self.tracker, self.tracker.late
+        tracker = self.tracker
         try:
             estimate = tracker.update(observation)
         except HandsightError as error:
             self.health.refused(str(error))
             return []
         self.show(observation, tracker)
-        if estimate is None or tracker.late > late:
+        if estimate is None or tracker.stamp != observation.stamp:
             return []
         answers = [self._writer.pose(tracker.stamp, estimate)]
         if tracker.state != "lost":
             answers.append(self._writer.transform(tracker.stamp, estimate.T_palm_object))
-            self._own_transforms[answers[-1].data] = None
-            if len(self._own_transforms) > LIVE.own_transforms:
-                del self._own_transforms[next(iter(self._own_transforms))]
         now = time.monotonic()
-        if now - self._markers_at >= LIVE.marker_period and self.markers_wanted():
+        if now - self._markers_at >= MARKER_PERIOD and self.markers_wanted():
             self._markers_at = now
-            if now - self._object_at >= LIVE.object_period:
+            markers = [*markers_around(tracker, self._writer.palm)]
+            if now - self._object_at >= OBJECT_PERIOD:
                 self._object_at = now
-                answers.append(self._markers.object(tracker.stamp, tracker.model))
-            answers.append(self._markers.around(tracker))
+                markers.append(object_marker(tracker.stamp, tracker.model))
+            answers.append(self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=markers))
         return answers

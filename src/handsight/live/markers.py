@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.live.answers import OBJECT_FRAME, Answer, Writer
+from handsight.correction import PoseEstimate
+from handsight.live.answers import OBJECT_FRAME
 from handsight.messages.encode import Message, header, parts, pose
-from handsight.messages.topics import OwnTopic, RosType
 from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 from handsight.tracking import Tracker
@@ -17,107 +17,103 @@ ARROW, SPHERE, LINE_STRIP, LINE_LIST, SPHERE_LIST, TRIANGLES = 0, 2, 4, 5, 7, 11
 """The shape of a visualization_msgs/Marker."""
 GREEN, ORANGE = (0.3, 0.8, 0.4, 0.8), (1.0, 0.6, 0.1, 1.0)
 BLUE, RED = (0.2, 0.5, 1.0, 0.3), (0.9, 0.2, 0.2, 0.9)
+LONGEST = 0.3  # no semi-axis is drawn longer [m]
 
 
-class Markers:
-    """A `Markers` builds MarkerArrays of a tracker's estimate."""
+def object_marker(stamp: float, model: ObjectModel) -> Message:
+    """Returns the object in its own frame, which /tf moves; it stays until another marker replaces it."""
+    surface = model.surface
+    most_triangles = 20_000
+    if isinstance(surface, Triangles) and len(surface.faces) <= most_triangles:
+        kind = TRIANGLES
+        size = 1.0
+        points = surface.corners.reshape(-1, 3)
+    else:
+        kind = SPHERE_LIST
+        size = model.diameter / 50
+        points = model.points_object
+    marker = _marker("object", kind, header(stamp, OBJECT_FRAME), (size,) * 3, GREEN, points)
+    marker.lifetime = Message(sec=0, nanosec=0)
+    marker.frame_locked = True
+    return marker
 
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
 
-    def object(self, stamp: float, model: ObjectModel) -> Answer:
-        """Returns the object in its own frame, which /tf moves; the marker stays until another replaces it."""
-        surface, most_triangles = model.surface, 20_000
-        if isinstance(surface, Triangles) and len(surface.faces) <= most_triangles:
-            kind, size, points = TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
-        else:
-            kind, size, points = SPHERE_LIST, model.diameter / 50, model.points_object
-        marker = self._marker("object", kind, stamp, (size,) * 3, GREEN, points)
-        always = Message(sec=0, nanosec=0)
-        marker.header.frame_id, marker.lifetime, marker.frame_locked = OBJECT_FRAME, always, True
-        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=[marker])
+def markers_around(tracker: Tracker, palm: str) -> Iterator[Message]:
+    """Yields contacts and uncertainty in the palm's frame `palm`; the markers vanish after half a second.
 
-    def around(self, tracker: Tracker) -> Answer:
-        """Returns contacts and uncertainty in the palm's frame; the markers vanish after half a second.
-
-        They are all contact points and their normals, the ellipsoid of two standard deviations of the object's centre,
-        and the unobservable directions.
-        """
-        markers = [*self._contacts(tracker), *self._uncertainty(tracker)]
-        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=markers)
-
-    def _contacts(self, tracker: Tracker) -> Iterator[Message]:
-        touched, stamp = tracker.fingertips.contacts, tracker.stamp
-        if touched is None:
-            return
-        if (pressed := tracker.skin.contacts()) is not None:
+    They are all contact points and their normals, the ellipsoid of two standard deviations of the object's centre,
+    and the unobservable directions.
+    """
+    top = header(tracker.stamp, palm)
+    touched = tracker.fingertips.contacts
+    pressed = tracker.skin.contacts()
+    if touched is not None:
+        if pressed is not None:
             touched = touched.joined(pressed)
-        points, normals = touched.points_palm, touched.normals_palm
-        yield self._marker("contacts", SPHERE_LIST, stamp, (0.005,) * 3, ORANGE, points)
-        if normals is not None:
-            ends = np.stack([points, points + 0.03 * normals], axis=1).reshape(-1, 3)
-            yield self._marker("normals", LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
+        points = touched.points_palm
+        yield _marker("contacts", SPHERE_LIST, top, (0.005,) * 3, ORANGE, points)
+        ends = np.stack([points, points + 0.03 * touched.normals_palm], axis=1)
+        yield _marker("normals", LINE_LIST, top, (0.0015, 0, 0), ORANGE, ends.reshape(-1, 3))
+    if tracker.estimate is not None:
+        yield _two_sigma(tracker.estimate, tracker.model, top)
+        for k, direction in enumerate(tracker.estimate.unobservable):
+            yield _open_direction(tracker.estimate, tracker.model, top, direction, k)
 
-    def _uncertainty(self, tracker: Tracker) -> Iterator[Message]:
-        estimate, model, stamp = tracker.estimate, tracker.model, tracker.stamp
-        if estimate is None:
-            return
-        T, covariance = estimate.T_palm_object, estimate.bounded_covariance
-        # The object's origin may be anywhere, so the ellipsoid is around its centre.
-        lever = T[:3, :3] @ model.center_object
-        J = se3.point_jacobian(lever)[:3]
-        values, axes = np.linalg.eigh(J @ covariance @ J.T)
-        axes[:, 2] *= np.sign(np.linalg.det(axes))
-        at = se3.compose(axes, T[:3, 3] + lever)
-        longest = 0.3  # no semi-axis is drawn longer [m]
-        sizes = 2 * np.minimum(2 * np.sqrt(np.maximum(values, 0)), longest)
-        yield self._marker("two sigma", SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
-        # A rotation that is unobservable is an arc about its axis, a shift an arrow.
-        for k, direction in enumerate(estimate.unobservable):
-            shift, turn = direction[:3], direction[3:]
-            if np.linalg.norm(turn) < np.linalg.norm(shift):
-                ends = at[:3, 3] + np.array([[-1.0], [1.0]]) * model.radius * shift / np.linalg.norm(shift)
-                yield self._marker("open", ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
-                continue
-            axis = turn / np.linalg.norm(turn)
-            side = 1.2 * model.radius * se3.perpendicular(axis)
-            angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
-            arc = at[:3, 3] + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
-            yield self._marker("open", LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
 
-    def _marker(
-        self,
-        name: str,
-        kind: int,
-        stamp: float,
-        size: Sequence[float] | Array,
-        color: tuple[float, float, float, float],
-        points: Array | None = None,
-        *,
-        at: Array | None = None,
-        number: int = 0,
-    ) -> Message:
-        """Returns a marker of `points` (n, 3) at the pose `at` (4, 4) in the palm's frame; size [m], colour RGBA."""
-        nothing = Message(header=header(0.0), format="", data=np.zeros(0, np.uint8))
-        return Message(
-            header=header(stamp, self._writer.palm),
-            ns=name,
-            id=number,
-            type=kind,
-            action=0,  # add or replace
-            pose=pose(np.eye(4) if at is None else at),
-            scale=parts("xyz", np.array(size, dtype=np.float64)),
-            color=parts("rgba", np.array(color)),
-            lifetime=Message(sec=0, nanosec=500_000_000),
-            frame_locked=False,
-            points=[] if points is None else [parts("xyz", row) for row in points],
-            colors=[],
-            text="",
-            mesh_resource="",
-            mesh_use_embedded_materials=False,
-            # ROS 1 lacks these fields.
-            texture_resource="",
-            texture=nothing,
-            uv_coordinates=[],
-            mesh_file=Message(filename="", data=np.zeros(0, np.uint8)),
-        )
+def _two_sigma(estimate: PoseEstimate, model: ObjectModel, top: Message) -> Message:
+    """Returns the ellipsoid of the position; the object's origin may be anywhere, so it is around its centre."""
+    T = estimate.T_palm_object
+    lever = T[:3, :3] @ model.center_object
+    J = se3.point_jacobian(lever)[:3]
+    variances, axes = np.linalg.eigh(J @ estimate.bounded_covariance @ J.T)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    sigmas = np.sqrt(np.maximum(variances, 0))
+    sizes = 2 * np.clip(2 * sigmas, 5e-5, LONGEST)
+    return _marker("two sigma", SPHERE, top, sizes, BLUE, at=se3.compose(axes, T[:3, 3] + lever))
+
+
+def _open_direction(
+    estimate: PoseEstimate, model: ObjectModel, top: Message, direction: Array, number: int
+) -> Message:
+    """Returns an unobservable direction (6,): an arc about a rotation's axis, an arrow along a shift."""
+    T = estimate.T_palm_object
+    center = T[:3, 3] + T[:3, :3] @ model.center_object
+    shift = direction[:3]
+    turn = direction[3:]
+    along = float(np.linalg.norm(shift))
+    about = float(np.linalg.norm(turn))
+    if about < along:
+        ends = center + np.array([[-1.0], [1.0]]) * model.radius * shift / along
+        return _marker("open", ARROW, top, (0.003, 0.008, 0.01), RED, ends, number=number)
+    axis = turn / about
+    side = 1.2 * model.radius * se3.perpendicular(axis)
+    angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
+    arc = center + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
+    return _marker("open", LINE_STRIP, top, (0.003, 0, 0), RED, arc, number=number)
+
+
+def _marker(
+    name: str,
+    kind: int,
+    top: Message,
+    size: Sequence[float] | Array,
+    color: tuple[float, float, float, float],
+    points: Sequence[Array] | Array = (),
+    at: Array | None = None,
+    number: int = 0,
+) -> Message:
+    """Returns a marker of `points` (n, 3) at the pose `at` (4, 4) in the frame of its header `top`; size [m], colour
+    RGBA."""
+    marker = Message(header=top, ns=name, id=number, type=kind)
+    marker.action = 0  # add or replace
+    marker.pose = pose(np.eye(4) if at is None else at)
+    marker.scale = parts("xyz", np.array(size, dtype=np.float64))
+    marker.color = parts("rgba", np.array(color))
+    marker.lifetime = Message(sec=0, nanosec=500_000_000)
+    marker.points = [parts("xyz", row) for row in points]
+    marker.text = marker.mesh_resource = marker.texture_resource = ""
+    marker.frame_locked = marker.mesh_use_embedded_materials = False
+    marker.colors = marker.uv_coordinates = []
+    marker.texture = Message(header=header(0.0), format="", filename="", data=np.zeros(0, np.uint8))
+    marker.mesh_file = marker.texture  # of both no field is set
+    return marker

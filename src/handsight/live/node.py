@@ -1,31 +1,46 @@
 """What the nodes of all transports share: parameters, the worker's loop, and queue lengths."""
 
 import gc
-import math
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from handsight.checks import brief, suggestion
-from handsight.errors import HandsightError, InvalidInput, printable
+import msgspec
+from msgspec import Meta
+
+from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
-from handsight.live.requests import REQUESTS, requested_model
-from handsight.messages import RawMessage
-from handsight.messages.clocks import CLOCKS
+from handsight.live.requests import requested_model
+from handsight.messages.clocks import MAX_WAIT
+from handsight.msgspec_errors import explain, field_name
 from handsight.rig import Rig
 from handsight.tracking import TrackerSettings
-from handsight.tracking.concurrent_images import image_process
 from handsight.tracking.warm import find_hand, find_object
 
-PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
-"""The parameters of a node with their defaults: those of `live_tracker`, and the port of a page in the browser."""
 
-IMAGES_READY = 600.0
-"""How long the process for images may take until it is ready [s]: kernels may have to be compiled."""
+class Parameters(msgspec.Struct, forbid_unknown_fields=True):
+    """The parameters of a node: those of `live_tracker`, and the port of a page in the browser, or 0."""
+
+    rig: str | int
+    object: str | int = ""  # a name of digits alone may have come as an integer
+    rate: Annotated[float, Meta(ge=0)] = 0.0
+    images: bool = True
+    equal: bool = False
+    view: Annotated[int, Meta(ge=0, lt=65536)] = 0
+
+    def __post_init__(self) -> None:
+        if self.rig == "":
+            raise ValueError("rig: expected the rig file, got nothing")
+
+
+SWITCH = 5e-4
+"""How long a thread may keep the interpreter while another waits for it [s]. At Python's own 5 ms, touch would wait so
+long for the thread that evaluates images."""
 
 
 def parameters(given: Mapping[str, object]) -> dict[str, Any]:
@@ -33,21 +48,12 @@ def parameters(given: Mapping[str, object]) -> dict[str, Any]:
 
     Raises InvalidInput for an unknown name, a value of another type, and where the rig is missing.
     """
-    types = {str: "a text", float: "a number of 0 or more", bool: "true or false", int: "a port or 0"}
-    values: dict[str, Any] = {**PARAMETERS}
-    for name, value in given.items():
-        if name not in PARAMETERS:
-            raise InvalidInput(f"parameter {printable(name)}: unknown{suggestion(name, PARAMETERS)}")
-        kind: type = type(PARAMETERS[name])
-        # A number, or a name of digits alone, may have come as an integer.
-        fits = type(value) is kind or (type(value) is int and kind in (str, float))
-        most = {float: math.inf, int: 65536}.get(kind)
-        if not fits or (most is not None and not 0 <= float(str(value)) < most):
-            raise InvalidInput(f"parameter {name}: expected {types[kind]}, got {brief(repr(value))}")
-        values[name] = kind(value)
-    if not values["rig"]:
-        raise InvalidInput("parameter rig: expected the rig file, got nothing")
-    return values
+    try:
+        found = msgspec.structs.asdict(msgspec.convert(given, Parameters))
+    except msgspec.ValidationError:
+        field, message = explain(Parameters, given)
+        raise InvalidInput(f"parameter {field_name(field)}: {message}") from None
+    return found | {"rig": str(found["rig"]), "object": str(found["object"])}
 
 
 def live_tracker(
@@ -68,16 +74,15 @@ def live_tracker(
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, concurrent = requested_model(name or "", known), images and not equal
+    model = requested_model(name or "", known)
+    concurrent = images and not equal
     settings = TrackerSettings(rate=rate or None, images=images, concurrent_images=concurrent)
     live = LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
-    if concurrent and known.topics.depth is not None:
-        if not image_process().ready.wait(IMAGES_READY):
-            reason = f"is not ready after {IMAGES_READY:.0f} s"
-            raise HandsightError(f"images: the process that evaluates them {reason}")
-    elif images and known.topics.depth is not None:
+    if images and known.topics.depth is not None:
         find_object()
         find_hand()
+    if concurrent:
+        sys.setswitchinterval(SWITCH)
     # To search all that lives for garbage takes a tenth of a second, for which an update would wait.
     gc.collect()
     gc.freeze()
@@ -98,7 +103,7 @@ def time_to_wait(timeout: float, received: float) -> float:
     It is short soon after the last one was `received` (by `time.monotonic`), as joint states may wait for others.
     """
     recently = time.monotonic() - received < 0.1
-    return min(timeout, CLOCKS.max_wait) if recently else timeout
+    return min(timeout, MAX_WAIT) if recently else timeout
 
 
 def work(
@@ -131,18 +136,3 @@ def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
         return True, ask().result(timeout=60.0)
     except (HandsightError, TimeoutError) as error:
         return False, str(error) or "the worker does not answer"
-
-
-class PublishedTypes:
-    """A `PublishedTypes` reports topics of an unexpected type, for transports that drop such messages silently."""
-
-    def __init__(self, live: LiveTracker) -> None:
-        self._live, self._reported = live, set[tuple[str, str]]()
-
-    def on_topic(self, topic: str, kind: str) -> None:
-        """Reports an unexpected type `package/msg/Name` of a topic, once, as if one such message had come."""
-        expected = self._live.subscriptions.get(topic)
-        if expected is None or topic in REQUESTS or kind in expected or (topic, kind) in self._reported:
-            return
-        self._reported.add((topic, kind))
-        self._live.put(RawMessage(topic, kind, "cdr", time.time(), b""))

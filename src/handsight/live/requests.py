@@ -1,16 +1,14 @@
 """A user's requests to a running tracker, as messages on topics: a first pose, another object, a new track."""
 
-from typing import Any
-
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PosePrior
-from handsight.errors import HandsightError, InvalidInput
+from handsight.errors import InvalidInput
 from handsight.messages import RawMessage, TopicReport
-from handsight.messages.decode import decode, typestore
-from handsight.messages.topics import OwnTopic, RosType
+from handsight.messages.decode import decode, deserialized
+from handsight.messages.topics import MessageRejected, OwnTopic, RosType
 from handsight.objects import Library, ObjectModel
 from handsight.objects.library import find_model
 from handsight.observation import PoseMeasurement
@@ -27,13 +25,9 @@ REQUESTS: dict[str, tuple[str, ...]] = {
 def requested_text(message: RawMessage) -> str:
     """Returns the text of a std_msgs/String; raises InvalidInput."""
     try:
-        store: Any = typestore(message.encoding)
-        return str(getattr(store, f"deserialize_{message.encoding}")(message.data, RosType.TEXT).data)
-    except HandsightError:
-        raise
-    except Exception as error:  # code that rosbags generates raises anything
-        came = f"bytes that are none ({str(error)[:80]})"
-        raise InvalidInput(f"expected a {RosType.TEXT}, got {came}") from None
+        return str(deserialized(message._replace(type=RosType.TEXT)).data)
+    except MessageRejected as error:
+        raise InvalidInput(str(error)) from None
 
 
 def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> PosePrior:
@@ -42,15 +36,17 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
     `T_world_palm`: the current pose of the palm, for a user's pose in the world; None: unknown.
     """
     topic = TopicReport(message.topic, "vision", (RosType.POSE_COVARIANCE,))
-    found = decode(message, topic, rig.frames)
+    found = decode(message, topic, rig.frames, fast={})
     if not found:
         raise InvalidInput(next(iter(topic.reasons), "expected a pose"))
     pose: PoseMeasurement = found[0].value
-    T_mount_frame, mount = np.eye(4), pose.frame
+    T_mount_frame = np.eye(4)
+    mount = pose.frame
     if pose.frame == "camera":
         if rig.camera is None:
             raise InvalidInput("expected a pose in the palm or the world (the rig has no camera)")
-        T_mount_frame, mount = rig.camera.T_mount_camera, rig.camera.on
+        T_mount_frame = rig.camera.T_mount_camera
+        mount = rig.camera.on
     T_palm_frame = T_mount_frame
     if mount == "world":
         if T_world_palm is None:

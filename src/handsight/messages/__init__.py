@@ -10,10 +10,10 @@ observations that each one completes. It guarantees:
   another clock, and the difference is added to its stamps; but a vision pose, an image or a truth that arrives up to
   2 s after its stamp is only slow, and keeps its stamp.
 * **Order**: messages are sorted by stamp in a window of 0.2 s, widened by the differences of offset that were not
-  corrected. Messages that come later than that are left out and counted as late. Joint states that jump ahead by more
-  than 1 s are rejected, unless the next ones agree with them. Three joint states in a row that are back by more than
-  1 s mean that the clock was set back, or that a recording is played in a loop: all earlier messages are forgotten, and
-  the order begins again.
+  corrected. Messages that come later than that are left out and counted as late. Joint states
+  whose stamp is more than 1 s from the last one wait for the next ones: if those agree, both are used; else the first
+  are rejected. Where they went back so, the clock was set back, or a recording is played in a loop: all earlier
+  messages are forgotten, and the order begins again.
 * **Observations**: each joint state message gives one, at its stamp; several messages with the same stamp give one
   together. It has the positions from all publishers of joint states (at most 0.1 s old), the newest wrench of each
   finger and the newest readings of each tactile array (at most 0.05 s old), `T_world_palm` from /tf (each transform
@@ -25,11 +25,8 @@ observations that each one completes. It guarantees:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
-from handsight._deprecated import renamed
 from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
 from handsight.messages.topics import OwnTopic, RawMessage, RosType, TopicReport
 
 __all__ = ["ObservationStream", "OwnTopic", "RawMessage", "Report", "RosType", "TopicReport"]
-
-__getattr__ = renamed(__name__, {"CameraIntrinsics": "handsight.camera.Camera"})

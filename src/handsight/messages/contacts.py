@@ -8,24 +8,21 @@ from handsight.checks import Array
 from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.observation import ContactMeasurement
 
-Found = list[tuple[str, ContactMeasurement | None]]
 
-
-def contacts(message: RosMessage, tips: Mapping[str, str], palm: str) -> Found:
-    """Returns the contacts of a message, by finger; None: the finger touches nothing.
+def contacts(message: RosMessage, tips: Mapping[str, str]) -> list[tuple[str, RosMessage | None]]:
+    """Returns the parts of a message that say where fingers are touched, by finger; None: the finger touches nothing.
 
     `tips`: the body that each finger's tip moves with. A message about one contact is of the only finger there is; of
-    several contacts, and several fingers, each is of the finger whose name or body it names. `palm`: the palm's frame
-    id. Raises MessageRejected.
+    several contacts, and several fingers, each is of the finger whose name or body it names. Raises MessageRejected.
     """
-    if not hasattr(message, "contacts"):
-        finger = _finger(message, tips) if len(tips) > 1 else next(iter(tips))
-        if not finger:
-            names = ", ".join(sorted({*tips, *tips.values()}))
-            raise MessageRejected(f"expected the name or frame of a finger on this topic ({names}), got none")
-        return [(finger, _contact(message, tips[finger], palm))]
-    named = {_finger(each, tips): each for each in message.contacts}
-    return [(f, _contact(named[f], body, palm) if f in named else None) for f, body in tips.items()]
+    if hasattr(message, "contacts"):
+        named = {_finger(each, tips): each for each in message.contacts}
+        return [(finger, named.get(finger)) for finger in tips]
+    finger = _finger(message, tips) if len(tips) > 1 else next(iter(tips))
+    if not finger:
+        names = ", ".join(sorted({*tips, *tips.values()}))
+        raise MessageRejected(f"expected the name or frame of a finger on this topic ({names}), got none")
+    return [(finger, message)]
 
 
 def _finger(message: RosMessage, tips: Mapping[str, str]) -> str:
@@ -34,17 +31,27 @@ def _finger(message: RosMessage, tips: Mapping[str, str]) -> str:
     return next((finger for finger, body in tips.items() if names & {finger, body}), "")
 
 
-def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | None:
-    """Returns one contact; its vectors are in the fingertip's frame if the header names none."""
-    scale = 1.0
+def contact(message: RosMessage | None, tip: str, palm: str) -> ContactMeasurement | None:
+    """Returns one contact; its vectors are in the fingertip's frame if the header names none.
+
+    `tip`: the body that the tip moves with. `palm`: the palm's frame id. Raises MessageRejected, InvalidInput.
+    """
+    if message is None:
+        return None
     if hasattr(message, "PoC"):  # its_msgs
-        p, n, force, scale = message.PoC, message.n, float(message.Fn), 1e-3
+        point = 1e-3 * _xyz(message.PoC)
+        normal = _xyz(message.n)
+        force = float(message.Fn)
     elif hasattr(message, "wrench"):  # tactile_msgs: its force is in the same frame as the normal
-        p, n, f = message.position, message.normal, message.wrench.force
-        force = abs(float(np.dot(_xyz(n), _xyz(f)))) / max(float(np.linalg.norm(_xyz(n))), 1e-12)
+        point = _xyz(message.position)
+        normal = _xyz(message.normal)
+        along = abs(float(np.dot(normal, _xyz(message.wrench.force))))
+        length = float(np.linalg.norm(normal))
+        force = along / max(length, 1e-12)
     else:
-        p, n, force = message.contact_position, message.contact_normal, float(message.f_normal)
-    point, normal = scale * _xyz(p), _xyz(n)
+        point = _xyz(message.contact_position)
+        normal = _xyz(message.contact_normal)
+        force = float(message.f_normal)
     if not np.isfinite([*point, *normal, force]).all():
         raise MessageRejected("position, normal or force is not finite", nan=True)
     named = message.header.frame_id.lstrip("/")
@@ -52,7 +59,9 @@ def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | N
     if frame is None:
         valid = f"none (the tip's own), {tip!r}, {palm!r}"
         raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {valid}")
-    return ContactMeasurement(point, normal, frame, force) if force > 0 and normal.any() else None
+    if force <= 0 or not normal.any():
+        return None
+    return ContactMeasurement(point, normal, frame, force)
 
 
 def _xyz(vector: RosMessage) -> Array:

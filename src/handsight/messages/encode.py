@@ -13,7 +13,7 @@ from handsight.observation import ContactMeasurement
 
 
 class Message(SimpleNamespace):
-    """A `Message` is a ROS message, or a part of one, with its fields as attributes."""
+    """A ROS message, or a part of one, with its fields as attributes."""
 
 
 def split_stamp(stamp: float) -> tuple[int, int]:
@@ -60,11 +60,15 @@ def transform(T: Array, stamp: float, parent: str, child: str) -> Message:
 def contact_fields(contact: ContactMeasurement | None, stamp: float, palm: str) -> dict[str, object]:
     """Returns the fields of a ShadowContactStateStamped; None: nothing is touched. `palm`: its frame id."""
     zero = np.zeros(3)
-    frame, force, point, normal = "", 0.0, zero, zero
+    frame = ""
+    force = 0.0
+    point = zero
+    normal = zero
     if contact is not None:
         frame = {"tip": "", "palm": palm}.get(contact.frame, contact.frame)
         force = 1.0 if contact.force is None else contact.force  # any above 0 is a touch
-        point, normal = contact.point, contact.normal
+        point = contact.point
+        normal = contact.normal
     place = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
     unknown = {"tangential_force": parts("xyz", zero), "l_torque": 0.0}
     return {"header": header(stamp, frame), "f_normal": force, **place, **unknown}

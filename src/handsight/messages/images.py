@@ -21,6 +21,8 @@ LAYOUTS = {
     "32SC1": ("i4", 1),
 }
 """Type and number of channels of a pixel, by the encoding of an Image."""
+LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
+"""The distortion models that are supported, with their number of coefficients."""
 
 
 def color(message: RosMessage) -> Color:
@@ -28,7 +30,9 @@ def color(message: RosMessage) -> Color:
     if hasattr(message, "format"):
         return pixels.color(bytes(message.data))
     found = values(message, ("rgb8", "bgr8"))
-    return np.ascontiguousarray(found if message.encoding == "rgb8" else found[..., ::-1])
+    if message.encoding == "bgr8":
+        found = found[..., ::-1]
+    return np.ascontiguousarray(found)
 
 
 def depth(message: RosMessage) -> Depth:
@@ -36,11 +40,13 @@ def depth(message: RosMessage) -> Depth:
     if not hasattr(message, "format"):
         return pixels.metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
     # `compressed_depth_image_transport` puts before the PNG a format, and A and B of depth = A / (value - B).
-    before, data, described = struct.Struct("<iff"), bytes(message.data), str(message.format)
+    data = bytes(message.data)
+    described = str(message.format)
     if "rvl" in described.lower():
         raise MessageRejected("expected compressed depth as PNG, got RVL")
     if "compressedDepth" not in described:
         return pixels.metres(pixels.sixteen_bits(data))
+    before = struct.Struct("<iff")
     if len(data) < before.size:
         raise MessageRejected(f"expected a header of {before.size} bytes, got {len(data)} bytes")
     _, a, b = before.unpack_from(data)
@@ -63,9 +69,12 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = LAYOUTS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    h, w, step = int(message.height), int(message.width), int(message.step)
+    h = int(message.height)
+    w = int(message.width)
+    step = int(message.step)
     row = w * channels * dtype.itemsize
-    if h == 0 or w == 0 or step < row or len(message.data) < step * (h - 1) + row:
+    size = step * (h - 1) + row
+    if min(h, w) == 0 or step < row or len(message.data) < size:
         rows = f"{h} rows of {step} bytes for {w} x {h} {message.encoding}"
         raise MessageRejected(f"expected {rows}, got {len(message.data)} bytes")
     strides = step, channels * dtype.itemsize, dtype.itemsize
@@ -74,31 +83,24 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
 
 def camera(message: RosMessage) -> Camera:
     """Returns the camera of a CameraInfo of ROS 1 or 2, as it is for its cropped and binned images."""
-    K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
-    if not np.isfinite(K).all():
-        raise MessageRejected("intrinsics are not finite", nan=True)
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
+    of_ros1 = hasattr(message, "K")
+    K = np.array(message.K if of_ros1 else message.k, dtype=np.float64).reshape(3, 3)
+    lens = np.array(message.D if of_ros1 else message.d, dtype=np.float64)
+    if not (K[[0, 1], [0, 1]] > 0).all():
         raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
-    limit = 1e6  # no focal length or principal point is larger [pixels]
-    if (most := np.abs(K).max()) > limit:
-        raise MessageRejected(f"expected intrinsics within {limit:g} pixels, got {most:g}")
-    # The message's intrinsics and size are those of the complete sensor.
-    roi, size = message.roi, [int(message.width), int(message.height)]
-    x, y = (roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y)
-    for axis, (first, side, binned) in enumerate((x, y)):
-        by = max(int(binned), 1)
-        # Pixel centres are at whole numbers, so the image begins at -½.
-        K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5
-        size[axis] = (int(side) or size[axis]) // by
-    # The distortion models that are supported, with their number of coefficients.
-    lenses = {"plumb_bob": 5, "rational_polynomial": 8}
-    model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
-    if not np.isfinite(lens).all():
-        raise MessageRejected("the lens' numbers are not finite", nan=True)
-    if model not in lenses and (model or lens.any()):
-        raise MessageRejected(f"expected a distortion model {' or '.join(lenses)}, got {model[:40]!r}")
-    count = lenses.get(model, 0)
+    model = message.distortion_model
+    count = LENSES.get(model, 0)
+    if model not in LENSES and (model or lens.any()):
+        raise MessageRejected(f"expected a distortion model {' or '.join(LENSES)}, got {model[:40]!r}")
     if lens[count:].any():
         raise MessageRejected(f"expected at most {count} numbers of a {model} lens, got {len(lens)}")
-    lens = lens[:count].astype(np.float64)
-    return Camera(K, (size[0], size[1]), lens if lens.any() else np.zeros(0))
+    lens = lens[:count] if lens.any() else np.zeros(0)
+    # The message's intrinsics and size are those of the complete sensor; they are of the images that come here.
+    roi = message.roi
+    binned = np.maximum([message.binning_x, message.binning_y], 1)
+    width = roi.width or message.width
+    height = roi.height or message.height
+    K[[0, 1], [0, 1]] /= binned
+    corner = K[:2, 2] - [roi.x_offset, roi.y_offset] + 0.5
+    K[:2, 2] = corner / binned - 0.5  # pixel centres are at whole numbers
+    return Camera(K, (int(width // binned[0]), int(height // binned[1])), lens)

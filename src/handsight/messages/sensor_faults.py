@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import TactileSurface
+from handsight.messages.report import shortened
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.rig.units import MAX_FORCE
@@ -21,7 +22,7 @@ rest, and less than this within a tenth above the least."""
 
 @dataclass(slots=True, eq=False)
 class Readings:
-    """A `Readings` is what one sensor has read so far."""
+    """What one sensor has read so far."""
 
     low: Array
     high: Array
@@ -36,7 +37,8 @@ class Readings:
             self.some.append(values)
         self.count += 1
         if len(self.some) > SOME:
-            self.some, self.step = self.some[::2], 2 * self.step
+            self.some = self.some[::2]
+            self.step = 2 * self.step
 
     @property
     def constant(self) -> str:
@@ -47,7 +49,7 @@ class Readings:
 
 
 class SensorFaults:
-    """A `SensorFaults` finds what makes a rig's sensors useless: zeros, no change, a wrong scale, swapped bytes."""
+    """What makes a rig's sensors useless: zeros, no change, a wrong scale, swapped bytes."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -62,7 +64,8 @@ class SensorFaults:
 
     def sentences(self) -> list[str]:
         """Returns a sentence for each sensor whose readings cannot be used: which, why, and what to change."""
-        topics, found = self._rig.topics, list[str]()
+        topics = self._rig.topics
+        found = list[str]()
         for name, read in self._wrenches.items():
             if constant := read.constant:
                 flag = "does its driver read it (DG-5F: fingertip_sensor:=true beside ft_broadcaster:=true)?"
@@ -75,22 +78,33 @@ class SensorFaults:
 
     def _of_surface(self, name: str, read: Readings) -> str:
         """Returns what is wrong with a surface's readings; empty: nothing."""
-        surface, given = self._rig.skin[name], np.array([each for each in read.some if np.any(each)])
-        if read.constant or not len(given):
-            return read.constant and f"{read.constant}is this the field that its driver fills?"
+        if read.constant:
+            return f"{read.constant}is this the field that its driver fills?"
+        surface = self._rig.skin[name]
+        given = np.array([each for each in read.some if np.any(each)])
+        if not len(given):
+            return ""
         numbers = given[np.isfinite(given)]
         if most := swapped(numbers):
-            at_most = f"at most {most} with their two bytes swapped, {np.abs(numbers).max():.0f} as they are"
-            return f"its whole numbers are {at_most}: have its driver swap them (big-endian?)"
-        normal, scale = normals_of(surface, given), surface.record["scale"][0, surface.components - 1]
-        pressed, rest = scale * normal, float(np.nanmedian(normal))
-        low, high = np.nanmin(pressed), np.nanmax(pressed)
-        at_rest, at_most = (np.nanmean(abs(pressed - end) < 0.1 * (high - low)) for end in (high, low))
-        if high - low > 2 * surface.threshold and at_rest >= MANY and at_most < SELDOM:
+            as_they_are = f"{np.abs(numbers).max():.0f} as they are"
+            said = f"at most {most} with their two bytes swapped, {as_they_are}"
+            return f"its whole numbers are {said}: have its driver swap them (big-endian?)"
+        normal = normals_of(surface, given)
+        scale = scale_of(surface)
+        pressed = scale * normal
+        rest = float(np.nanmedian(normal))
+        low = np.nanmin(pressed)
+        high = np.nanmax(pressed)
+        near = 0.1 * (high - low)
+        at_rest = np.nanmean(abs(pressed - high) < near)
+        at_most = np.nanmean(abs(pressed - low) < near)
+        was_touched = high - low > 2 * surface.threshold
+        if was_touched and at_rest >= MANY and at_most < SELDOM:
             reads = f"reads {rest:g} at rest and {low / scale:g} where it is touched, which is inverted"
             return f"{reads}: set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
         in_newtons = surface.components == 3 or (scale == 1 and surface.threshold < 1)
-        if in_newtons and (rise := rise_of(surface, read)) > MAX_FORCE:
+        rise = rise_of(surface, read)
+        if in_newtons and rise > MAX_FORCE:
             more = f"rises by up to {rise:.4g} where at most {MAX_FORCE:g} N on a taxel are expected"
             return f"{more} (counts?): set skin.{name}.scale: newtons a count"
         return ""
@@ -107,12 +121,13 @@ class SensorFaults:
                 most = f"{rise_of(surface, read):.3g} (threshold, scale?)"
                 found.append(f"skin {name}: never touched; {rises} {most}")
             low, high = normals_of(surface, np.array([read.low, read.high]))
-            dead, unknown = (low == high, "never change: dead?"), (np.isnan(low), "never have a number (NaN)")
-            for marked, why in (dead, unknown):
-                if marked.any() and marked.mean() < 0.5:
-                    numbers = ", ".join(map(str, np.flatnonzero(marked)[:12]))
-                    more = " and others" if marked.sum() > 12 else ""
-                    found.append(f"skin {name}: taxel {numbers}{more} of {len(marked)} {why}")
+            for marked, why in (
+                (low == high, "never change: dead?"),
+                (np.isnan(low), "never have a number (NaN)"),
+            ):
+                if 0 < marked.mean() < 0.5:
+                    numbers = shortened(map(str, np.flatnonzero(marked)))
+                    found.append(f"skin {name}: taxel {', '.join(numbers)} of {len(marked)} {why}")
         return found
 
     @property
@@ -122,13 +137,20 @@ class SensorFaults:
         return {name for name, read in self._skin.items() if rise_of(skin[name], read) > skin[name].threshold}
 
 
+def scale_of(surface: TactileSurface) -> float:
+    """Returns the factor of the readings along the taxels' normals."""
+    return float(surface.record["scale"][0, surface.components - 1])
+
+
 def rise_of(surface: TactileSurface, read: Readings) -> float:
     """Returns by how much a taxel reads more along its normal than it does most of the time, scaled."""
-    scale = surface.record["scale"][0, surface.components - 1]
-    ends = [read.high if scale > 0 else read.low]
-    normal, end = (normals_of(surface, np.array(each)) for each in (read.some, ends))
+    scale = scale_of(surface)
+    (end,) = normals_of(surface, (read.high if scale > 0 else read.low)[None])
+    normal = normals_of(surface, np.array(read.some))
     known = np.isfinite(normal).any(axis=0)
-    return float(np.max(scale * (end[0, known] - np.nanmedian(normal[:, known], axis=0)), initial=0.0))
+    usual = np.nanmedian(normal[:, known], axis=0)
+    rises = scale * (end[known] - usual)
+    return float(rises.max(initial=0.0))
 
 
 def normals_of(surface: TactileSurface, given: Array) -> Array:
@@ -138,9 +160,10 @@ def normals_of(surface: TactileSurface, given: Array) -> Array:
 
 def swapped(values: Array) -> int:
     """Returns the largest of numbers with their two bytes swapped, where these seem to have been swapped; else 0."""
-    if not (values == values.round()).all() or values.min() < -(2**15) or values.max() >= 2**16:
+    whole = (values == values.round()).all()
+    if not whole or values.min() < -(2**15) or values.max() >= 2**16:
         return 0
-    words = np.unique(values.astype(np.int64) & 0xFFFF)
-    again = (words & 0xFF) << 8 | words >> 8
-    small = again.max() <= MOST_COUNTS < np.abs(values).max()
-    return int(again.max()) if small and len(words) > MIN_VALUES else 0
+    words = np.unique(values.astype(np.int64)).astype(np.uint16)
+    most = int(words.byteswap().max())
+    small = most <= MOST_COUNTS < np.abs(values).max()
+    return most if small and len(words) > MIN_VALUES else 0

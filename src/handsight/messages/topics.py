@@ -1,12 +1,13 @@
 """Raw messages of a robot, the names of their types and topics, and the counts of the messages on each topic."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
-from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXELS
+from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXELS, definitions_in
 from handsight.rig import Rig
+from handsight.rig.rig import JointReading
 
 Role = Literal[
     "joints", "wrench", "contact", "skin", "vision", "truth", "color", "depth", "detections", "mask", "tf", "tf_static",
@@ -15,7 +16,7 @@ Role = Literal[
 
 
 class RosType:
-    """`RosType` names the types of the messages that are read or written, as ROS 2 does: `package/msg/Name`."""
+    """Types of the messages that are read or written, as ROS 2 names them: `package/msg/Name`."""
 
     JOINTS = "sensor_msgs/msg/JointState"
     WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -36,7 +37,7 @@ class RosType:
 
 
 class OwnTopic:
-    """`OwnTopic` names the topics that handsight publishes, and those on which it takes a user's requests."""
+    """Topics that handsight publishes, and those on which it takes a user's requests."""
 
     POSE = "/handsight/pose"
     TF = "/tf"
@@ -53,14 +54,14 @@ MAX_REASONS = 8  # reasons that are kept for a topic; bounded, as one may quote 
 
 
 class RosMessage(Protocol):
-    """A `RosMessage` is a decoded message of ROS 1 or 2; rosbags generates its class, with the fields as attributes."""
+    """A decoded message of ROS 1 or 2; rosbags generates its class, with the fields as attributes."""
 
     def __getattr__(self, name: str, /) -> Any:
         """Returns the field of that name; raises AttributeError where the type has none."""
 
 
 class TaxelSource(NamedTuple):
-    """A `TaxelSource` says where a tactile surface's readings are in a message."""
+    """Where a tactile surface's readings are in a message."""
 
     name: str  # the surface's
     field: str  # path into the message; empty: the message is nothing but the readings
@@ -68,7 +69,7 @@ class TaxelSource(NamedTuple):
 
 
 class RawMessage(NamedTuple):
-    """A `RawMessage` is one serialised message of a file or of a running robot."""
+    """One serialised message of a file or of a running robot."""
 
     topic: str
     type: str  # as ROS 2 writes it: `package/msg/Name`
@@ -80,7 +81,7 @@ class RawMessage(NamedTuple):
 
 
 class MessageRejected(Exception):
-    """A `MessageRejected` says why a message is not used; `nan`: it has NaN or infinity. It never leaves this room."""
+    """Why a message is not used; `nan`: it has NaN or infinity. It never leaves this room."""
 
     def __init__(self, reason: str, *, nan: bool = False) -> None:
         super().__init__(reason)
@@ -89,7 +90,7 @@ class MessageRejected(Exception):
 
 @dataclass(slots=True)
 class TopicReport:
-    """A `TopicReport` counts the messages of one topic, or the transforms of /tf.
+    """Counts of the messages of one topic, or of the transforms of /tf.
 
     Once no message waits any more, `messages` is the sum of the counts from `used` to `stuck`. A message about several
     fingers or tactile surfaces counts once for each.
@@ -102,6 +103,9 @@ class TopicReport:
     tips: dict[str, str] = field(default_factory=dict)
     """The body to which the fingertip of a contact is fixed, by finger."""
     surfaces: tuple[TaxelSource, ...] = ()  # where the readings of tactile surfaces are in a message
+    joints: JointReading | None = None  # how the positions of joints are read; None: those of a JointState
+    wanted: str = ""
+    """What is missing without the topic, such as `finger ff: no wrench`; empty: it may be absent."""
     type: str = ""
     messages: int = 0
     used: int = 0
@@ -112,7 +116,9 @@ class TopicReport:
     bad: int = 0  # left out, as they cannot be used as one of the expected types
     stale: int = 0  # left out, as they were too old when the next joint states came
     stuck: int = 0  # left out, as their sensor is stuck or at full scale
-    reasons: Counter[str] = field(default_factory=Counter)  # number of `nan` and `bad` messages, by reason
+    reasons: Counter[str] = field(
+        default_factory=Counter
+    )  # number of `nan`, `bad` and `stuck` messages, by reason
     last: float | None = None  # stamp of the last used message, in the clock of the joint states [s]
     gap: float = 0.0  # longest time between two used messages [s]
     gaps: int = 0  # number of times between two used messages above `MAX_GAP`
@@ -128,7 +134,10 @@ class TopicReport:
     @property
     def any_defined(self) -> bool:
         """Whether its messages may be of any type that comes with its definition, as the rig has a path into them."""
-        return any(surface.field for surface in self.surfaces)
+        paths = [surface.field for surface in self.surfaces]
+        if self.joints is not None:
+            paths.append(self.joints.field)
+        return any(paths)
 
     @property
     def readable(self) -> int:
@@ -140,10 +149,19 @@ class TopicReport:
         """Number of messages that were left out, for whatever reason."""
         return self.duplicated + self.nan + self.late + self.bad + self.stale + self.stuck
 
-    def reject(self, error: MessageRejected) -> None:
+    def reject(self, reason: str, *, nan: bool) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""
-        self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
-        reason = str(error)
+        self.nan += nan
+        self.bad += not nan
+        self._leave_out(reason)
+
+    def take_back(self, reason: str) -> None:
+        """Counts a message that was used as `stuck`, with its reason."""
+        self.used -= 1
+        self.stuck += 1
+        self._leave_out(reason)
+
+    def _leave_out(self, reason: str) -> None:
         if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
             reason = "other reasons"
         self.reasons[reason] += 1
@@ -151,19 +169,23 @@ class TopicReport:
     def use(self, stamp: float) -> None:
         """Counts a message of that stamp [s] as used; stamps must come in order."""
         self.used += 1
-        gap = 0.0 if self.last is None else stamp - self.last
-        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > MAX_GAP), stamp
+        if self.last is not None:
+            gap = stamp - self.last
+            self.gap = max(self.gap, gap)
+            self.gaps += gap > MAX_GAP
+        self.last = stamp
 
-    def sentences(self) -> Iterator[str]:
-        """Yields a sentence for each problem of this topic that a user should know about."""
-        for count, sentence in (
-            (self.duplicated, "came twice with one stamp and were used once"),
-            (self.late, "came too late to be put in order of stamp and were left out"),
-            (self.stale, "were too old when the next joint states came and were left out"),
-            *((count, f"left out: {reason}") for reason, count in self.reasons.items()),
-        ):
-            if count:
-                yield f"{self.name}: {count} of {self.messages} messages {sentence}"
+    @property
+    def faults(self) -> Counter[str]:
+        """Numbers of messages of which a user should know something, by what that is."""
+        found = Counter({f"left out: {reason}": count for reason, count in self.reasons.items()})
+        found["came twice with one stamp and were used once"] = self.duplicated
+        found["came too late to be put in order of stamp and were left out"] = self.late
+        found["were too old when the next joint states came and were left out"] = self.stale
+        return +found
+
+    def notes(self) -> Iterator[str]:
+        """Yields a sentence for each problem that all messages of this topic have."""
         if self.unstamped and not self.type.endswith("MultiArray"):  # which cannot have a stamp
             yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
         if abs(self.difference) > MAX_CLOCK_DIFFERENCE:
@@ -174,33 +196,49 @@ class TopicReport:
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     """Returns an empty report for each topic of the rig, by name."""
     topics = rig.topics
+    reading = topics.joint_reading
+    own = tuple(definitions_in(topics.messages))
+    by_path = reading is not None and bool(reading.field)
+    types = (RosType.JOINTS, *PLAIN_TAXELS, *own) if by_path else (RosType.JOINTS,)
+    joints = TopicReport(topics.joint_states, "joints", types, joints=reading, wanted="no joint states")
+    found = [joints]
+    for finger, topic in topics.wrenches.items():
+        wanted = f"finger {finger}: no wrench"
+        found.append(TopicReport(topic, "wrench", (RosType.WRENCH,), finger, wanted=wanted))
+    bodies = {name: finger.frame for name, finger in rig.fingers.items()}
+    for topic, fingers in _by_topic(topics.contacts).items():
+        tips = {finger: bodies.get(finger, "") for finger in fingers}
+        wanted = f"finger {', '.join(fingers)}: no contacts"
+        found.append(TopicReport(topic, "contact", CONTACTS, tips=tips, wanted=wanted))
+    shapes = {name: surface.shape for name, surface in rig.skin.items()}
+    for topic, names in _by_topic(topics.skin).items():
+        sources = [TaxelSource(n, topics.skin_fields.get(n, ""), shapes.get(n, (0, 0))) for n in names]
+        if topic == joints.name:  # a message of the whole hand
+            joints.surfaces = tuple(sources)
+            continue
+        types = (*TAXELS, *own) if all(source.field for source in sources) else PLAIN_TAXELS
+        wanted = f"skin {', '.join(names)}: no readings"
+        found.append(TopicReport(topic, "skin", types, surfaces=tuple(sources), wanted=wanted))
     tf = topics.tf if rig.world_from == "tf" else None
-    poses, transforms = (RosType.POSE, RosType.POSE_COVARIANCE), (RosType.TF, RosType.TF_ROS1)
+    calibrated = rig.camera is not None and rig.camera.intrinsics is not None
+    poses = (RosType.POSE, RosType.POSE_COVARIANCE)
+    transforms = (RosType.TF, RosType.TF_ROS1)
     images = RosType.IMAGE, RosType.COMPRESSED
-    found = [TopicReport(topics.joint_states, "joints", (RosType.JOINTS,))]
-    wrenches = topics.wrenches.items()
-    found += [TopicReport(topic, "wrench", (RosType.WRENCH,), name) for name, topic in wrenches]
-    tips: dict[str, dict[str, str]] = {topic: {} for topic in topics.contacts.values()}
-    for name, topic in topics.contacts.items():
-        tips[topic][name] = rig.fingers[name].frame if name in rig.fingers else ""
-    found += [TopicReport(topic, "contact", CONTACTS, tips=bodies) for topic, bodies in tips.items()]
-    surfaces: dict[str, list[TaxelSource]] = {topic: [] for topic in topics.skin.values()}
-    for name, topic in topics.skin.items():
-        shape = rig.skin[name].shape if name in rig.skin else (0, 0)
-        surfaces[topic].append(TaxelSource(name, topics.skin_fields.get(name, ""), shape))
-    for topic, sources in surfaces.items():
-        types = PLAIN_TAXELS if any(not each.field for each in sources) else TAXELS
-        found.append(TopicReport(topic, "skin", types, surfaces=tuple(sources)))
-    others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
-        ("tf", tf, transforms),
-        ("tf_static", tf and f"{tf}_static", transforms),
-        ("vision", topics.vision, poses),
-        ("truth", topics.truth, poses),
-        ("color", topics.color, images),
-        ("depth", topics.depth, images),
-        ("detections", topics.detections, (RosType.DETECTIONS,)),
-        ("mask", topics.mask, (RosType.IMAGE,)),
-        ("info", topics.camera_info, (RosType.INFO,)),
+    others: tuple[tuple[Role, str | None, tuple[str, ...], str], ...] = (
+        ("tf", tf, transforms, "no transforms"),
+        ("tf_static", tf and f"{tf}_static", transforms, ""),
+        ("vision", topics.vision, poses, "no vision"),
+        ("truth", topics.truth, poses, ""),
+        ("color", topics.color, images, "no color images"),
+        ("depth", topics.depth, images, "no depth images"),
+        ("detections", topics.detections, (RosType.DETECTIONS,), ""),
+        ("mask", topics.mask, (RosType.IMAGE,), ""),
+        ("info", topics.camera_info, (RosType.INFO,), "" if calibrated else "no camera info"),
     )
-    found += [TopicReport(topic, role, types) for role, topic, types in others if topic is not None]
+    found += [TopicReport(name, role, types, wanted=what) for role, name, types, what in others if name]
     return {each.name: each for each in found}
+
+
+def _by_topic(topics: Mapping[str, str]) -> dict[str, list[str]]:
+    """Returns the names of fingers or surfaces by topic."""
+    return {topic: [name for name in topics if topics[name] == topic] for topic in topics.values()}

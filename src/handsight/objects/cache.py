@@ -5,6 +5,7 @@ nothing else. A damaged file is computed again; one that somebody forged is not 
 """
 
 import contextlib
+import functools
 import hashlib
 import io
 import warnings
@@ -21,11 +22,10 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
-VERSION = 10
+VERSION = 12
 """Part of every key; raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files of each kind that are kept; the oldest are removed."""
-_warned: set[str] = set()
 T = TypeVar("T")
 Number = TypeVar("Number", bound=np.generic)
 
@@ -45,8 +45,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     A damaged file, or one that was written under another key, is computed again. Several processes may do this at
     once: a file appears complete or not at all. A folder that cannot be written causes one ObjectWarning and no error.
     """
-    path = cache_folder() / f"field-{name}.msgpack"
-    return _remembered(path, name, "distance fields", _geometry, geometry_bytes, compute)
+    return _remembered(cache_folder() / f"field-{name}.msgpack", name, _geometry, geometry_bytes, compute)
 
 
 def remembered_numbers(
@@ -57,20 +56,17 @@ def remembered_numbers(
     def load(data: memoryview) -> NDArray[Number]:
         return np.frombuffer(data, dtype=dtype).copy()
 
-    path = cache_folder() / f"{kind}-{name}"
-    return _remembered(path, name, "appearances of objects", load, lambda found: found.tobytes(), compute)
+    return _remembered(cache_folder() / f"{kind}-{name}", name, load, np.ndarray.tobytes, compute)
 
 
 def _remembered(
     path: Path,
     name: str,
-    what: str,
     load: Callable[[memoryview], T],
     to_bytes: Callable[[T], bytes],
     compute: Callable[[], T],
 ) -> T:
-    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file. `what`
-    names the content in the warning about a folder that cannot be written."""
+    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file."""
     with contextlib.suppress(Exception):  # whatever is wrong with the file, its content can be computed again
         return load(read_entry(path, name))
     built = compute()
@@ -82,11 +78,13 @@ def _remembered(
             for old in sorted(files, key=lambda file: file.stat().st_mtime)[:-KEPT]:
                 old.unlink()
     except OSError as error:
-        if str(folder) not in _warned:
-            _warned.add(str(folder))
-            reason = f"{what} cannot be cached there ({error.strerror or error})"
-            warnings.warn(f"{folder}: {reason}; each run builds them", ObjectWarning, stacklevel=3)
+        _warn_once(f"{folder}: fields and appearances cannot be kept there ({error.strerror or error})")
     return built
+
+
+@functools.cache
+def _warn_once(message: str) -> None:
+    warnings.warn(f"{message}; each run builds them", ObjectWarning, stacklevel=4)
 
 
 def geometry_bytes(geometry: Geometry) -> bytes:

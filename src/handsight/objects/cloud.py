@@ -8,7 +8,6 @@ sides and no inside. Outliers are not removed.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,27 +17,14 @@ from handsight.errors import InvalidObject
 from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.scans.normals import NORMALS, outwards, planes
+from handsight.objects.scans.normals import PLANE_NEIGHBOURS, outwards, planes
 from handsight.objects.scans.scan import scanned, unseen_variances
-from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
+from handsight.objects.surface import MAX_HOLE, Cloud, check_extent, diameter, distinct
 
-
-class CloudOptions(NamedTuple):
-    """`CloudOptions` say how a surface and its distances are computed from points."""
-
-    min_points: int = 20  # of a cloud
-    planes: int = 10  # points whose planes are averaged
-    area_neighbours: int = 8  # nearest points from which a point's share of the area is measured
-    near: float = 2.0  # distance to a point below which the smooth surface counts alone [spacings]
-    far: float = 4.0  # distance to a point beyond which the point counts alone [spacings]
-    neighbours: int = 25  # nearest points whose middle tells whether a place is above them or beside them
-    opposite_cosine: float = -0.5  # points whose normals have a cosine below this are on two sides of a wall
-    rim: float = 0.4  # distance past the last points up to which their surface counts alone [spacings]
-    beside: float = 1.2  # distance past the last points beyond which a point counts alone [spacings]
-    behind: float = -0.5  # share of the distance: a place lower than this below an open cloud is behind it
-
-
-CLOUD = CloudOptions()
+MIN_POINTS = 20  # of a cloud
+AREA_NEIGHBOURS = 8  # nearest points from which a point's share of the area is measured
+NEAR = 2.0  # distance to a point below which the smooth surface counts alone [spacings]
+FAR = 4  # distance to a point beyond which the point counts alone [spacings]
 
 Heights = Callable[[Array, Indices], Array]
 """A function of nodes (n, 3) near the smooth surface, and of the indices (n,) of the points nearest to them, that
@@ -56,17 +42,18 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         points, normals = scan.surface.converged()
     tree = cKDTree(points)
     if normals is None:
-        normals = outwards(points, planes(points, points, NORMALS.neighbours), tree)
-    reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
+        normals = outwards(points, planes(points, points, PLANE_NEIGHBOURS), tree)
+    reach = tree.query(points, k=AREA_NEIGHBOURS + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
-    cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))
+    cloud = Cloud(points, normals, np.pi * reach**2 / (AREA_NEIGHBOURS + 0.5))
     heights = partial(plane_heights, cloud, tree) if scan is None else scan.surface.heights
     size = diameter(points)
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
     # The largest hole is twice as wide as the points are far from where inside meets outside.
-    gap, inside = tree.query(nodes)[0].reshape(coarse.shape), winding.inside(nodes).reshape(coarse.shape)
+    gap = tree.query(nodes)[0].reshape(coarse.shape)
+    inside = winding.inside(nodes).reshape(coarse.shape)
     hole = 0.0
     for axis, n in enumerate(coarse.shape):
         nearer = np.minimum(gap.take(range(n - 1), axis), gap.take(range(1, n), axis))
@@ -74,13 +61,16 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     # Is the winding number 1 behind nearly all points, and 0 in front? Within two spacings, single points change it.
     index = np.random.default_rng(3).permutation(len(points))[:400]
     step = 2 * cloud.spacing * normals[index]
-    behind, front = winding.at(points[index] - step), winding.at(points[index] + step)
-    closed = hole < SURFACE.max_hole * size and bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
+    behind = winding.at(points[index] - step)
+    front = winding.at(points[index] + step)
+    closed = hole < MAX_HOLE * size and bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
     distances: Callable[[Array], Array]
     if closed:
-        distances, blur = partial(closed_distances, cloud, tree, heights, winding), 0.0
+        distances = partial(closed_distances, cloud, tree, heights, winding)
+        blur = 0.0
     else:
-        distances, blur = open_distances(cloud, tree, heights), cloud.spacing
+        distances = open_distances(cloud, tree, heights)
+        blur = cloud.spacing
 
     def exact(index: Indices, _: float) -> tuple[Indices, Array]:
         return index, distances(fine.nodes_at(index))
@@ -97,15 +87,16 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
 
 def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
     """Returns the points and normals without repeats, and a remark where there were any; raises InvalidObject."""
-    expected = f"points: expected at least {CLOUD.min_points}"
-    if len(points) < CLOUD.min_points:
+    expected = f"points: expected at least {MIN_POINTS}"
+    if len(points) < MIN_POINTS:
         raise InvalidObject(f"{expected} points, got {len(points)}")
     extent = check_extent(points, "points")
     first, _ = distinct(points, extent)
-    if len(first) < CLOUD.min_points:
+    if len(first) < MIN_POINTS:
         raise InvalidObject(f"{expected} different points, got {len(first)}")
     repeated = len(points) - len(first)
-    points, normals = points[first], None if normals is None else normals[first]
+    points = points[first]
+    normals = None if normals is None else normals[first]
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:
         raise InvalidObject("points: expected a surface, got points on one line")
     return points, normals, (f"{repeated} repeated points were dropped",) if repeated else ()
@@ -114,7 +105,7 @@ def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None,
 def plane_heights(cloud: Cloud, tree: cKDTree, nodes: Array, _: Indices) -> Array:
     """Returns the heights (n,) [m] of nodes (n, 3) above the smooth average of the planes through the nearest points of
     a cloud, by Gaussian weights of their distance."""
-    gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
+    gap, index = tree.query(nodes, k=min(10, len(cloud.vertices)))
     near = gap[:, 0]
     # The Gaussian is wide enough for a few points, near the cloud and far from it.
     width2 = (near + cloud.spacing) ** 2
@@ -130,8 +121,10 @@ def closed_distances(cloud: Cloud, tree: cKDTree, heights: Heights, winding: Win
     """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud with an inside, where they are negative: the
     height near the surface, blended into the distance to the nearest point far from it."""
     near, nearest = tree.query(nodes)
-    share, smooth = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far), np.zeros(len(nodes))
-    away, close = np.flatnonzero(share > 0), np.flatnonzero(share < 1)
+    share = _smooth_step(near / cloud.spacing, NEAR, FAR)
+    smooth = np.zeros(len(nodes))
+    away = np.flatnonzero(share > 0)
+    close = np.flatnonzero(share < 1)
     near[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
     smooth[close] = heights(nodes[close], nearest[close])
     return np.asarray((1 - share) * smooth + share * near)
@@ -144,10 +137,13 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
     the nearest point, and never zero. It is negative behind the cloud. Where front borders on back with no surface
     between them, the sign jumps (`handsight.objects.fields.GridField`).
     """
-    points, normals = cloud.vertices, cloud.normals
+    points = cloud.vertices
+    normals = cloud.normals
     # Of each point's neighbours on the same side of a wall: their middle, and how far it would be from a rim.
-    around = tree.query(points, k=min(CLOUD.neighbours, len(points)))[1]
-    alike = np.einsum("nki,ni->nk", normals[around], normals) > CLOUD.opposite_cosine
+    # The middle of the nearest points tells whether a place is above them or beside them.
+    around = tree.query(points, k=min(25, len(points)))[1]
+    # Points whose normals are more than 120° apart are on two sides of a wall.
+    alike = np.einsum("nki,ni->nk", normals[around], normals) > -0.5
     count = alike.sum(axis=1)
     middles = np.einsum("nk,nki->ni", alike, points[around]) / count[:, None]
     spacing = np.sqrt(cloud.areas[around].mean(axis=1))
@@ -158,7 +154,7 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
         """Returns the height over the points, blended into the distance to the nearest point beside them."""
         near, nearest = tree.query(nodes)
         height = np.einsum("ni,ni->n", nodes - points[nearest], normals[nearest])
-        share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)
+        share = _smooth_step(near / cloud.spacing, NEAR, FAR)
         close = np.flatnonzero(share < 1)
         smooth = heights(nodes[close], nearest[close])
         height[close] = (1 - share[close]) * smooth + share[close] * height[close]
@@ -166,9 +162,11 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
         away = nodes - middles[nearest]
         above = np.einsum("ni,ni->n", away, normals[nearest])
         lateral = np.linalg.norm(away - above[:, None] * normals[nearest], axis=1)
-        beside = _smooth_step((lateral - to_rim[nearest]) / spacing[nearest], CLOUD.rim, CLOUD.beside)
+        # Up to 0.4 spacings past the last points their surface counts alone, and beyond 1.2 the point does.
+        beside = _smooth_step((lateral - to_rim[nearest]) / spacing[nearest], 0.4, 1.2)
         size = (1 - beside) * np.abs(height) + beside * near
-        return np.asarray(np.where(height < CLOUD.behind * size, -size, size))
+        # A place that is lower than half of its distance below the points is behind them.
+        return np.asarray(np.where(height < -0.5 * size, -size, size))
 
     return distances
 
@@ -176,4 +174,4 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
 def _smooth_step(x: Array, low: float, high: float) -> Array:
     """Returns 0 below `low`, 1 above `high`, smooth between."""
     share = np.clip((x - low) / (high - low), 0.0, 1.0)
-    return np.asarray(share * share * (3 - 2 * share))
+    return share * share * (3 - 2 * share)

@@ -18,7 +18,7 @@ from handsight.errors import InvalidInput
 
 
 class FieldValues(NamedTuple):
-    """`FieldValues` are a distance field and its two derivatives at n points of the object's frame."""
+    """Distance field and its two derivatives at n points of the object's frame."""
 
     distance: Array
     """(n,) to the surface [m], negative inside."""
@@ -29,7 +29,7 @@ class FieldValues(NamedTuple):
 
 
 class Field:
-    """A `Field` is the distance field of an object: a `GridField` or an `ExactField`.
+    """Distance field of an object: a `GridField` or an `ExactField`.
 
     Exact ones are centred at the object's origin. On the medial axis, where the nearest point is not unique, the
     choice is fixed: the first axis, the positive side, the side wall before the cap.
@@ -64,7 +64,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class GridField(Field):
-    """A `GridField` is a uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
+    """Uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
 
     Without the prefilter of interpolation the spline smooths the samples by about a third of a cell (their
     mean over a kernel of variance cell²/3 per axis). That is intended, because the curvature of noise and of facets
@@ -100,15 +100,19 @@ class GridField(Field):
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
         """Fills a FIELD record and returns the nodes; see `Field.fill`."""
-        row["kind"], row["blur"] = records.SHEET if self.sheet else records.GRID, self.blur
-        row["origin"], row["nodes"] = self.origin, first_node
-        row["cell"], row["inverse_cell"], row["shape"] = self.cell, 1 / self.cell, self.values.shape
+        row["kind"] = records.SHEET if self.sheet else records.GRID
+        row["blur"] = self.blur
+        row["origin"] = self.origin
+        row["nodes"] = first_node
+        row["cell"] = self.cell
+        row["inverse_cell"] = 1 / self.cell
+        row["shape"] = self.values.shape
         return self.values.reshape(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class ExactField(Field):
-    """An `ExactField` is the exact distance field of a box, of a cylinder whose axis is z, or of a ball."""
+    """Exact distance field of a box, of a cylinder whose axis is z, or of a ball."""
 
     shape: Literal["box", "cylinder", "sphere"]
     sizes: Array
@@ -117,7 +121,8 @@ class ExactField(Field):
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
         """Fills a FIELD record and returns no nodes; see `Field.fill`."""
         kinds = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
-        row["kind"], row["origin"] = kinds[self.shape], self.sizes
+        row["kind"] = kinds[self.shape]
+        row["origin"] = self.sizes
         # Without a limit the curvature would be infinite at edges and on the axis.
         row["least_radius"] = 2 * np.linalg.norm(self.sizes) / 72
         return np.empty(0, dtype=np.float32)
@@ -125,7 +130,7 @@ class ExactField(Field):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldError:
-    """A `FieldError` is the error of a fine distance field as a function of place, on a grid over the object.
+    """Error of a fine distance field as a function of place, on a grid over the object.
 
     A grid of distances rounds off edges and facets: near an edge its normal may be wrong by tens of degrees, on a face
     by less than one. A contact is only as exact as the model where it touches.
@@ -141,7 +146,7 @@ class FieldError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """A `Grid` is a regular grid of nodes."""
+    """Regular grid of nodes."""
 
     origin: Array  # (3,) node (0, 0, 0) [m]
     cell: float  # between neighbours [m]
@@ -153,7 +158,7 @@ class Grid:
 
     def nodes_at(self, index: Indices) -> Array:
         """Returns (n, 3) positions [m] of the nodes with these indices (n,) in the flat order."""
-        return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
+        return self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1)
 
     def field(self, values: Array, *, sheet: bool = False, blur: float = 0.0) -> GridField:
         """Returns the field with these distances (nx ny nz,) [m] at the nodes; `sheet` and `blur` as in `GridField`."""
@@ -196,7 +201,8 @@ def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: 
         shape = np.ceil((np.ptp(vertices, axis=0) + 2 * margin(cell)) / cell) + 3
         if np.prod(shape) <= most:
             return centered_grid(vertices, cell, shape), enlarged
-        cell, enlarged = cell * 1.1, True
+        cell = cell * 1.1
+        enlarged = True
 
 
 def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
@@ -241,4 +247,4 @@ def _interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:
         low = np.clip(at.astype(np.int64), 0, coarse.shape[k] - 2)
         share = (at - low).reshape([-1 if j == k else 1 for j in range(3)])
         table = (1 - share) * np.take(table, low, axis=k) + share * np.take(table, low + 1, axis=k)
-    return np.asarray(table.reshape(-1))
+    return table.reshape(-1)

@@ -18,7 +18,7 @@ MAX_EXTENT = 2.0  # and a larger one [m]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Geometry:
-    """A `Geometry` is an object's surface in its own frame: samples, two distance fields, and their errors."""
+    """Object's surface in its own frame: samples, two distance fields, and their errors."""
 
     coarse: GridField
     """Smooth distance field with cells of an 18th of the diameter; on it descents converge from farther away."""
@@ -76,7 +76,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """A `Roughness` is the error of a scanned surface at points of it."""
+    """Error of a scanned surface at points of it."""
 
     points: Array  # (m, 3) on the surface [m]
     variances: Array  # (m, 4) variances, as in `FieldError`
@@ -95,7 +95,8 @@ def geometry_of(
     """Returns the geometry of a surface with these distance fields: its samples, sizes and errors; `diameter` [m]."""
     from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
 
-    vertices, _ = frozen(surface.vertices), frozen(surface.faces)
+    vertices = frozen(surface.vertices)
+    _ = frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     # The samples are chosen from twenty times as many random points, each the farthest from those before it, and then
     # moved by twelve of Lloyd's steps, each to the random point nearest to the middle of its own. Distances include
@@ -141,7 +142,7 @@ def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
 
     def at(nodes: Array) -> Array:
         mean = _mean_of_nearest(roughness.points, given, nodes)
-        return np.asarray(mean[:, :4] / mean[:, 4:])
+        return mean[:, :4] / mean[:, 4:]
 
     point, normal = np.sqrt(np.median(roughness.variances[:, :2], axis=0))
     return replace(
@@ -192,7 +193,12 @@ def unit_remarks(extent: float) -> tuple[str, ...]:
     """Returns a remark where the largest extent [m] suggests another unit than metres."""
     if MIN_EXTENT <= extent <= MAX_EXTENT:
         return ()
-    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
+    units = {
+        "millimetres": 0.001,
+        "centimetres": 0.01,
+        "inches": 0.0254,
+        "metres, stated to be millimetres": 1000,
+    }
     for unit, scale in units.items():
         if MIN_EXTENT < extent * scale < MAX_EXTENT / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)

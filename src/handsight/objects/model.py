@@ -24,12 +24,12 @@ from handsight.objects import cache, primitives
 from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
-from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
+from handsight.objects.surface import MAX_SIZE, MIN_SIZE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
 
 class ModelRecord(NamedTuple):
-    """A `ModelRecord` is an object as kernels take it."""
+    """Object as kernels take it."""
 
     model: NDArray[np.void]  # (1,) MODEL
     nodes: NDArray[np.float32]  # the nodes of its grids, one grid after another
@@ -41,50 +41,65 @@ class ModelRecord(NamedTuple):
 def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     """Returns the record of an object with that geometry and those symmetries."""
     record = np.zeros(1, dtype=records.MODEL)
-    row, spacing, diameter = record[0], geometry.sample_spacing, geometry.diameter
+    row = record[0]
+    spacing = geometry.sample_spacing
+    diameter = geometry.diameter
     coarse = geometry.coarse.fill(row["coarse"], 0)
     nodes = [coarse, geometry.fine.fill(row["fine"], len(coarse))]
     row["coarse"]["variance_distance"] = (0.03 * geometry.coarse.cell) ** 2  # on faces
     row["coarse"]["variance_normal"] = 0.03**2  # on faces [rad²]
-    row["radius"], row["center"] = geometry.radius, geometry.center_object
+    row["radius"] = geometry.radius
+    row["center"] = geometry.center_object
     # Facets are within the surface that they approximate, by at most so much.
     row["bounds"] = geometry.bounds_object + 0.01 * diameter * np.array([[-1.0], [1.0]])
     row["edge_curvature2"] = 1 / (0.75 * geometry.coarse.cell) ** 2  # a surface that is bent more is an edge
-    error, place_by_place = row["error"], geometry.field_error
+    error = row["error"]
+    place_by_place = geometry.field_error
     # No model's surface and normals [rad] are assumed to be more exact.
-    error["least_distance"], error["least_normal"] = (1e-4 * diameter) ** 2, 2e-3**2
+    error["least_distance"] = (1e-4 * diameter) ** 2
+    error["least_normal"] = 2e-3**2
     if place_by_place is not None:
-        error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
-        error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
+        error["inverse_cell"] = 1 / place_by_place.cell
+        error["origin"] = place_by_place.origin
+        error["shape"] = place_by_place.values.shape[:3]
+        error["nodes"] = sum(map(len, nodes))
         nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
     # There is room for `MAX_ROTATIONS`.
-    symmetry, count = row["symmetry"], len(symmetries.rotations)
+    symmetry = row["symmetry"]
+    count = len(symmetries.rotations)
     kind = records.NO_SYMMETRY if symmetries.trivial else records.DISCRETE
     for k, (point, direction) in enumerate(symmetries.axes):
         through_origin = np.abs(point - (point @ direction) * direction).max() < 1e-15
         kind = records.AXIS if len(symmetries.axes) == 1 and through_origin else records.OTHER_SYMMETRY
-        symmetry["pivot"], symmetry["axis"][k] = point, direction
-    symmetry["kind"], symmetry["axes"] = kind, len(symmetries.axes)
-    symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:, :3]
+        symmetry["pivot"] = point
+        symmetry["axis"][k] = direction
+    symmetry["kind"] = kind
+    symmetry["axes"] = len(symmetries.axes)
+    symmetry["rotations"] = count
+    symmetry["rotation"][:count] = symmetries.rotations[:, :3]
     # In the distance of a contact from a sample, a difference of 1 between unit normals counts as much as this length.
     row["normal_weight2"] = (1.3 * diameter) ** 2
     # A tangential distance within the band costs nothing; beyond it, this is its standard deviation.
-    row["band"], row["tangential_weight"] = 1.6 * spacing, 1 / (0.32 * spacing) ** 2
+    row["band"] = 1.6 * spacing
+    row["tangential_weight"] = 1 / (0.32 * spacing) ** 2
     row["sample_variance_distance"] = (0.02 * spacing) ** 2  # of the surface about a sample's plane
     row["sample_variance_normal"] = geometry.sigma_normal**2
-    row["samples"][:, 0], row["samples"][:, 1] = geometry.points_object, geometry.normals_object
+    row["samples"][:, 0] = geometry.points_object
+    row["samples"][:, 1] = geometry.normals_object
     row["scan"][0] = (geometry.points_object**2).sum(axis=1)
-    row["scan"][1:4], row["scan"][4:] = geometry.points_object.T, geometry.normals_object.T
+    row["scan"][1:4] = geometry.points_object.T
+    row["scan"][4:] = geometry.normals_object.T
     return ModelRecord(record, np.concatenate(nodes), kind != records.OTHER_SYMMETRY)
 
 
 NONE = Symmetries()
+SIGMA_FRICTION = 0.1  # standard deviation of a coefficient of friction that is given without one
 USUAL_SIGMA = 2e-3  # standard deviation per axis of a centre of mass that is given without one [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
-    """An `ObjectModel` is the geometry of an object's surface, with the object's name, symmetries and weight.
+    """Geometry of an object's surface, with the object's name, symmetries and weight.
 
     It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`.
     """
@@ -101,14 +116,15 @@ class ObjectModel(Geometry):
     """One standard deviation of the centre of mass per axis [m]."""
     friction: float | None = None
     """Coefficient of friction between fingertips and object; None where it is to be learnt."""
-    sigma_friction: float = 0.1
+    sigma_friction: float = SIGMA_FRICTION
     """Standard deviation of that coefficient."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where `symmetries` are of another type."""
         if not isinstance(self.symmetries, Symmetries):
-            came = type(self.symmetries).__name__
-            raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
+            raise InvalidInput(
+                f"symmetries: expected Symmetries or None, got {checks.brief(self.symmetries)}"
+            )
 
     def __repr__(self) -> str:
         size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
@@ -116,32 +132,28 @@ class ObjectModel(Geometry):
         return f"<ObjectModel {self.name or 'without a name'}: {size} mm, {kind}>"
 
     @classmethod
-    def box(cls, size: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
+    def box(cls, size: ArrayLike) -> Self:
         """Returns a box centred at the origin, sides `size` (3,) [m] along x, y, z; raises InvalidInput."""
-        sides = checks.finite(size, "size", (3,))
-        if not (sides > 0).all():
-            raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
-        _check_range(sides, "size")
-        geometry, own = primitives.box(sides)
-        return cls._from(geometry, "box", symmetries, own)
+        geometry, own = primitives.box(_lengths(size, "size", (3,)))
+        return cls._from(geometry, "box", own)
 
     @classmethod
-    def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
+    def cylinder(cls, radius: float, height: float) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        radius, height = _checked_length(radius, "radius"), _checked_length(height, "height")
-        geometry, own = primitives.cylinder(radius, height)
-        return cls._from(geometry, "cylinder", symmetries, own)
+        lengths = (
+            float(_lengths(value, name, ())) for value, name in ((radius, "radius"), (height, "height"))
+        )
+        geometry, own = primitives.cylinder(*lengths)
+        return cls._from(geometry, "cylinder", own)
 
     @classmethod
-    def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
+    def sphere(cls, radius: float) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        geometry, own = primitives.sphere(_checked_length(radius, "radius"))
-        return cls._from(geometry, "sphere", symmetries, own)
+        geometry, own = primitives.sphere(float(_lengths(radius, "radius", ())))
+        return cls._from(geometry, "sphere", own)
 
     @classmethod
-    def from_mesh(
-        cls, vertices: ArrayLike, faces: ArrayLike, *, symmetries: Symmetries | None = None
-    ) -> Self:
+    def from_mesh(cls, vertices: ArrayLike, faces: ArrayLike) -> Self:
         """Returns the object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
 
         Triangles are counterclockwise as seen from outside; inconsistent or inverted ones are turned over, and an
@@ -149,12 +161,10 @@ class ObjectModel(Geometry):
         """
         mesh = _checked_mesh(vertices, faces)
         name = cache.key("mesh", mesh.vertices, mesh.faces)
-        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "", symmetries)
+        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "")
 
     @classmethod
-    def from_points(
-        cls, points: ArrayLike, normals: ArrayLike | None = None, *, symmetries: Symmetries | None = None
-    ) -> Self:
+    def from_points(cls, points: ArrayLike, normals: ArrayLike | None = None) -> Self:
         """Returns the object whose surface goes through the points (n, 3) [m].
 
         `normals` (n, 3): outward, of any length; None: they are estimated. Outliers are not removed. Raises
@@ -162,20 +172,20 @@ class ObjectModel(Geometry):
         """
         places, directions = _checked_points(points, normals)
         name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
-        geometry = cache.remembered(name, lambda: _of_points(places, directions))
-        return cls._from(geometry, "", symmetries)
+        return cls._from(cache.remembered(name, lambda: _of_points(places, directions)), "")
 
     @classmethod
-    def from_file(
-        cls, path: str | os.PathLike[str], scale: float = 1.0, *, symmetries: Symmetries | None = None
-    ) -> Self:
-        """Returns the object in a file: a mesh (STL, OBJ, PLY, OFF) or a cloud (PLY or OFF without faces, PCD, XYZ).
+    def from_file(cls, path: str | os.PathLike[str], scale: float = 1.0) -> Self:
+        """Returns the object in a file: a mesh or a cloud.
 
-        `scale`: metres per unit of the file. Raises InvalidFile where it cannot be read and InvalidObject
-        where it holds no surface, both starting with the file's name.
+        Meshes are STL, OBJ, PLY, OFF and GLB, with the extra `meshes` DAE and 3MF; clouds are PLY and OFF without
+        faces, and XYZ. `scale`: metres per unit of the file; GLB, DAE and 3MF state their unit, and come in metres.
+        Raises InvalidFile where it cannot be read, InvalidObject where it holds no surface, MissingExtra; all start
+        with the file's name.
         """
         scale = checks.positive(scale, "scale")
-        file, data = Path(path), content(path)
+        file = Path(path)
+        data = content(path)
 
         def build() -> Geometry:
             """Returns the geometry of the mesh or cloud in the file; its remarks begin with the file's name."""
@@ -198,7 +208,7 @@ class ObjectModel(Geometry):
 
         # The file's name is part of the key: remarks begin with it, and its extension selects the reader.
         name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
-        return cls._from(cache.remembered(name, build), file.stem, symmetries)
+        return cls._from(cache.remembered(name, build), file.stem)
 
     @classmethod
     def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
@@ -213,15 +223,12 @@ class ObjectModel(Geometry):
         return Library(library).model(name)
 
     @classmethod
-    def _from(
-        cls, geometry: Geometry, name: str, declared: Symmetries | None, own: Symmetries = NONE
-    ) -> Self:
-        """Returns a model with the declared symmetries, else its own, and issues the geometry's remarks as warnings."""
+    def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries = NONE) -> Self:
+        """Returns a model with these symmetries, and issues the geometry's remarks as warnings."""
         parts = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        model = cls(**parts, name=name, symmetries=own)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
-        return model if declared is None else model.with_symmetries(declared)
+        return cls(**parts, name=name, symmetries=symmetries)
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
@@ -291,7 +298,7 @@ class ObjectModel(Geometry):
         weight = None if mass is None else checks.positive(mass, "mass")
         return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
 
-    def with_friction(self, friction: float | None, sigma: float = 0.1) -> Self:
+    def with_friction(self, friction: float | None, sigma: float = SIGMA_FRICTION) -> Self:
         """Returns the object with that coefficient of friction and sigma; None: to be learnt. Raises InvalidInput."""
         check_friction(friction, sigma, "friction")
         return dataclasses.replace(self, friction=friction, sigma_friction=sigma)
@@ -307,22 +314,18 @@ class ObjectModel(Geometry):
 
 def check_friction(friction: float | None, sigma: float, name: str) -> None:
     """Raises InvalidInput for a coefficient of friction, or its standard deviation, that no two materials have."""
-    if friction is not None and not 0.01 <= float(checks.finite(friction, name, ())) <= 10:
-        raise InvalidInput(f"{name}: expected a number from 0.01 to 10, got {friction:g}")
-    if not 1e-4 <= float(checks.finite(sigma, f"sigma_{name}", ())) <= 10:
-        raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
+    for what, value, least in ((name, friction, 0.01), (f"sigma_{name}", sigma, 1e-4)):
+        if value is not None and not least <= checks.finite(value, what, ()) <= 10:
+            raise InvalidInput(f"{what}: expected a number from {least:g} to 10, got {value:g}")
 
 
-def _checked_length(value: float, name: str) -> float:
-    _check_range(length := checks.positive(value, name), name)
-    return length
-
-
-def _check_range(value: ArrayLike, name: str) -> None:
-    """Raises InvalidInput for lengths [m] so small or large that no mistaken unit explains them."""
-    if np.min(value) < SURFACE.min_size or np.max(value) > SURFACE.max_size:
-        expected = f"expected metres between {SURFACE.min_size:g} and {SURFACE.max_size:g}"
-        raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
+def _lengths(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+    """Returns lengths [m] of a shape; raises InvalidInput where no mistaken unit explains how small or large one is."""
+    lengths = checks.finite(value, name, shape)
+    if lengths.min() < MIN_SIZE or lengths.max() > MAX_SIZE:
+        came = checks.brief(lengths)
+        raise InvalidInput(f"{name}: expected metres between {MIN_SIZE:g} and {MAX_SIZE:g}, got {came}")
+    return lengths
 
 
 def _of_mesh(mesh: Triangles) -> Geometry:
@@ -347,7 +350,8 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
     """Returns the mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject for other arrays."""
     vertices = checks.unmasked(vertices, "vertices") if isinstance(vertices, np.ndarray) else vertices
     try:
-        points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+        points = np.asarray(vertices, dtype=np.float64)
+        triangles = np.asarray(faces)
     except (TypeError, ValueError):
         raise InvalidObject("mesh: expected numbers for vertices (k, 3) and faces (m, 3)") from None
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
@@ -355,9 +359,12 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
     if triangles.size == 0:
         raise InvalidObject("faces: expected at least one triangle, got none")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        came = f"{triangles.dtype} {triangles.shape}"
-        raise InvalidObject(f"faces: expected whole numbers of shape (m, 3), got {came}")
-    low, high, last = triangles.min(), triangles.max(), len(points) - 1
+        raise InvalidObject(
+            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
+        )
+    low = triangles.min()
+    high = triangles.max()
+    last = len(points) - 1
     if low < 0 or high > last:
         raise InvalidObject(f"faces: expected indices 0 to {last}, got {low} to {high}")
     return Triangles(points, triangles.astype(np.int64))

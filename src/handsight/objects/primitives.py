@@ -9,13 +9,13 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.objects.fields import ExactField, coarse_grid
 from handsight.objects.geometry import Geometry, geometry_of
-from handsight.objects.surface import Triangles, diameter
+from handsight.objects.surface import Triangles, diameter, unit
 from handsight.objects.symmetry import Symmetries
 
 
 @dataclass(frozen=True, eq=False)
 class Rounded(Triangles):
-    """A `Rounded` is a curved surface with an exact distance field; its triangles approximate it."""
+    """Curved surface with an exact distance field; its triangles approximate it."""
 
     field: ExactField  # the exact distance field
     exact_area: float  # area of the curved surface [m²]
@@ -40,7 +40,8 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
     faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     turns = [np.pi * axis for axis in np.eye(3)]
     for k in range(3):
-        one, other = sides[k - 2], sides[k - 1]
+        one = sides[k - 2]
+        other = sides[k - 1]
         if abs(one - other) <= 1e-9 * max(one, other):
             turns.append(np.pi / 2 * np.eye(3)[k])
     R = se3.rotation_exp(np.array(turns)).round()
@@ -50,17 +51,21 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
 
 def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
     """Returns a cylinder about z, `radius` and `height` [m]; its symmetries: turns about z, half turns across."""
-    half_height, segments = height / 2, 96
+    half_height = height / 2
+    segments = 96
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     levels = [np.column_stack([ring, np.full(segments, z)]) for z in (-half_height, half_height)]
     vertices = np.vstack([*levels, [[0, 0, -half_height], [0, 0, half_height]]])
     low = np.arange(segments)
     after = (low + 1) % segments
-    high, high_after = low + segments, after + segments
-    bottom, top = np.full(segments, 2 * segments), np.full(segments, 2 * segments + 1)
+    high = low + segments
+    high_after = after + segments
+    bottom = np.full(segments, 2 * segments)
+    top = np.full(segments, 2 * segments + 1)
     parts = [(low, after, high_after), (low, high_after, high), (bottom, after, low), (top, high, high_after)]
-    faces, exact = np.hstack(parts).T, ExactField("cylinder", np.array([radius, half_height, 0.0]))
+    faces = np.hstack(parts).T
+    exact = ExactField("cylinder", np.array([radius, half_height, 0.0]))
     area = 2 * np.pi * radius * (radius + height)
     symmetries = Symmetries([((0, 0, 0), (0, 0, 1))], [np.diag([1.0, -1.0, -1.0, 1.0])])
     return _geometry(Rounded(vertices, faces, exact, area), exact), symmetries
@@ -76,7 +81,7 @@ def sphere(radius: float) -> tuple[Geometry, Symmetries]:
         ab, bc, ca = (len(vertices) + which.reshape(-1, 3)).T
         a, b, c = faces.T
         middles = vertices[pairs].sum(axis=1)
-        vertices = np.vstack([vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+        vertices = np.vstack([vertices, unit(middles)])
         faces = np.hstack([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]).T
     exact = ExactField("sphere", np.array([radius, 0.0, 0.0]))
     surface = Rounded(radius * vertices, faces, exact, 4 * np.pi * radius**2)
@@ -85,6 +90,7 @@ def sphere(radius: float) -> tuple[Geometry, Symmetries]:
 
 def _geometry(surface: Triangles, exact: ExactField) -> Geometry:
     """Returns the geometry of a surface whose distance field is exact."""
-    vertices, size = surface.vertices, diameter(surface.vertices)
+    vertices = surface.vertices
+    size = diameter(surface.vertices)
     grid, _ = coarse_grid(vertices, size, float(np.ptp(vertices, axis=0).min()))
     return geometry_of(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)

@@ -7,69 +7,64 @@ there, and with the minima behind so low a barrier that they are one: the coplan
 scan's noise, or all facets of a curved side, on which the object can roll freely.
 """
 
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from handsight.checks import Array
 from handsight.objects.geometry import Geometry
-from handsight.objects.surface import Triangles
+from handsight.objects.surface import Triangles, unit
 
-
-class RestingOptions(NamedTuple):
-    """`RestingOptions` say which faces are one, and how likely an object rests on each."""
-
-    barrier: float = 0.003
-    """Height of the centre of mass above the higher of two minima below which both are one [diameters]: a scan's facets
-    leave less, a block that stands on its narrow end (a twentieth of its height) has more."""
-    placed: float = 0.5
-    """Share of objects that were put on any side, not dropped: a bottle stands upright more often than by chance."""
-    least: float = 0.002  # probability of a pose that is kept
-    window: float = float(np.deg2rad(10.0))
-    """Within this turn [rad], one standard deviation, members of a curved side count for its direction here."""
-    rolls: float = float(np.deg2rad(6.0))
-    """Members spread wider than this [rad], one standard deviation, within the window: the object can roll freely."""
-
-
-RESTING = RestingOptions()
+BARRIER = 0.003
+"""Height of the centre of mass above the higher of two minima below which both are one [diameters]: a scan's facets
+leave less, a block that stands on its narrow end (a twentieth of its height) has more."""
+PLACED = 0.5
+"""Share of objects that were put on any side, not dropped: a bottle stands upright more often than by chance."""
+LEAST = 0.002  # probability of a pose that is kept
+WINDOW = float(np.deg2rad(10))
+"""Within this turn [rad], one standard deviation, members of a curved side count for its direction here."""
+ROLLS = float(np.deg2rad(6))
+"""Members spread wider than this [rad], one standard deviation, within the window: the object can roll freely."""
 FREE = 2 * np.pi
 """Variance of a tilt about which nothing is known [rad²]: its density at the mean is that of any angle, 1 / 2π."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestingPose:
-    """A `RestingPose` is one way in which an object rests on a table, at any yaw, and rolled along a curved side."""
+    """One way in which an object rests on a table, at any yaw, and rolled along a curved side."""
 
     down: Array  # (m, 3) unit directions in the object's frame that can point down, the lowest first
     heights: Array  # (m,) the height of the centre of mass above the table with each of them [m]
     weights: Array  # (m,) how likely each of them is, relative to the others
     center_object: Array  # (3,) the centre of mass in the object's frame [m]
     probability: float  # of this pose among all of the object's resting poses
+    _near: dict[int, tuple[Array, float, Array, Array]] = field(default_factory=dict, init=False, repr=False)
+    """What `_member` returns, by the number of each direction that was asked for."""
 
     def near(self, down: Array) -> tuple[Array, float, Array]:
         """Returns the direction (3,) of this pose near a direction (3,), the centre of mass's height with it [m], and
         the covariance (3, 3) of the direction [rad²], which is large along a side on which the object can roll."""
-        mean, height, spread, rolls = _member(self, int((self.down @ down).argmax()))
+        k = int((self.down @ down).argmax())
+        if k not in self._near:
+            self._near[k] = _member(self, k)
+        mean, height, spread, rolls = self._near[k]
         if rolls.shape[1]:  # there, every direction is as good as the one that is asked for
             mean = mean + rolls @ (rolls.T @ (down - mean))
             mean = mean / np.linalg.norm(mean)
         return mean, height, spread
 
 
-@lru_cache(maxsize=256)
 def _member(pose: RestingPose, k: int) -> tuple[Array, float, Array, Array]:
     """Returns the mean direction (3,) near member k of a pose, its height, its covariance (see `RestingPose.near`), and
     the directions (3, r) in which it rolls."""
     angles = np.arccos(np.clip(pose.down @ pose.down[k], -1.0, 1.0))
-    weights = pose.weights * np.exp(-0.5 * (angles / RESTING.window) ** 2)
+    weights = pose.weights * np.exp(-0.5 * (angles / WINDOW) ** 2)
     weights /= weights.sum()
     mean = weights @ pose.down
     mean /= np.linalg.norm(mean)
     across = (pose.down - mean) - np.outer((pose.down - mean) @ mean, mean)
     values, vectors = np.linalg.eigh((weights * across.T) @ across)
-    rolls = values > RESTING.rolls**2
+    rolls = values > ROLLS**2
     spread = (vectors * np.where(rolls, FREE, values)) @ vectors.T
     return mean, float(weights @ pose.heights), spread, vectors[:, rolls]
 
@@ -88,7 +83,8 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
         hull = ConvexHull(geometry.vertices)
     except QhullError:  # flat: the points are moved a little
         hull = ConvexHull(geometry.vertices, qhull_options="QJ")
-    normals, corners = hull.equations[:, :3], hull.points[hull.simplices]
+    normals = hull.equations[:, :3]
+    corners = hull.points[hull.simplices]
     if center_of_mass is not None:
         center = center_of_mass
     elif geometry.closed and isinstance(geometry.surface, Triangles):
@@ -99,18 +95,21 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
         center = np.asarray(inside + volumes @ (corners - inside).sum(axis=1) / (4 * volumes.sum()))
     corners = corners - center
     heights = np.einsum("ij,ij->i", normals, corners[:, 0])
-    basin = _basins(corners, normals, heights, hull.neighbors, RESTING.barrier * geometry.diameter)
+    basin = _basins(corners, normals, heights, hull.neighbors, BARRIER * geometry.diameter)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    labels, shares = np.unique(basin), np.bincount(basin, weights=_solid_angles(corners))
+    labels = np.unique(basin)
+    shares = np.bincount(basin, weights=_solid_angles(corners))
     share = shares[labels] / shares.sum()
-    labels, share = labels[share > RESTING.least], share[share > RESTING.least]
-    probabilities = (1 - RESTING.placed) * share / share.sum() + RESTING.placed / len(labels)
+    labels = labels[share > LEAST]
+    share = share[share > LEAST]
+    probabilities = (1 - PLACED) * share / share.sum() + PLACED / len(labels)
     found = []
     for k in np.argsort(-probabilities, kind="stable"):
         faces = np.flatnonzero(basin == labels[k])
         faces = faces[np.argsort(heights[faces], kind="stable")]
-        rise = (heights[faces] - heights[faces[0]]) / (RESTING.barrier * geometry.diameter)
-        faces, rise = faces[rise < 3.0], rise[rise < 3.0]
+        rise = (heights[faces] - heights[faces[0]]) / (BARRIER * geometry.diameter)
+        faces = faces[rise < 3.0]
+        rise = rise[rise < 3.0]
         weights = areas[faces] * np.exp(-rise)
         found.append(RestingPose(normals[faces], heights[faces], weights, center, float(probabilities[k])))
     return tuple(found)
@@ -126,14 +125,16 @@ def _basins(corners: Array, normals: Array, heights: Array, neighbors: Array, ba
     """
     one, k = np.nonzero(neighbors >= 0)
     other = neighbors[one, k]
-    a, b = corners[one, (k + 1) % 3], corners[one, (k + 2) % 3]
-    along = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+    a = corners[one, (k + 1) % 3]
+    b = corners[one, (k + 2) % 3]
+    along = unit(b - a)
     nearest = a - np.einsum("ij,ij->i", a, along)[:, None] * along
     length = np.linalg.norm(nearest, axis=1)
     dot = np.einsum("nij,nj->ni", np.stack([normals[one], normals[other]], axis=1), nearest)
     between = dot.min(axis=1) >= np.einsum("ij,ij->i", normals[one], normals[other]) * length
     passes = np.where(between, length, np.maximum(heights[one], heights[other]))
-    parent, lowest = list(range(len(heights))), heights.copy()
+    parent = list(range(len(heights)))
+    lowest = heights.copy()
 
     def root(face: int) -> int:
         while parent[face] != face:
@@ -141,7 +142,8 @@ def _basins(corners: Array, normals: Array, heights: Array, neighbors: Array, ba
         return face
 
     for i in np.argsort(passes, kind="stable").tolist():
-        p, q = root(int(one[i])), root(int(other[i]))
+        p = root(int(one[i]))
+        q = root(int(other[i]))
         if p != q and passes[i] - max(lowest[p], lowest[q]) < barrier:
             low, high = (p, q) if lowest[p] <= lowest[q] else (q, p)
             parent[high] = low
@@ -150,7 +152,9 @@ def _basins(corners: Array, normals: Array, heights: Array, neighbors: Array, ba
 
 def _solid_angles(corners: Array) -> Array:
     """Returns the solid angle (m,) of triangles (m, 3, 3) about the origin [sr] (Van Oosterom and Strackee 1983)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a = corners[:, 0]
+    b = corners[:, 1]
+    c = corners[:, 2]
     x, y, z = (np.linalg.norm(p, axis=1) for p in (a, b, c))
 
     def dot(p: Array, q: Array) -> Array:

@@ -11,7 +11,7 @@ from handsight.objects.symmetry_search import propose_symmetries
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectSpec:
-    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight and friction of the object."""
+    """One of box, cylinder, mesh and name, and the declared weight and friction of the object."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
@@ -60,6 +60,7 @@ class ObjectSpec:
         center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass
         sigma = self.sigma_center_of_mass
         if center is None:
-            center, sigma = model.center_of_mass, model.sigma_center_of_mass
+            center = model.center_of_mass
+            sigma = model.sigma_center_of_mass
         mass = model.mass if self.mass is None else self.mass
         return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)

@@ -10,19 +10,12 @@ from handsight import se3
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 
-
-class SurfaceOptions(NamedTuple):
-    """`SurfaceOptions` are limits on the size of a surface and of its holes."""
-
-    min_size: float = 1e-6  # a smaller one is refused [m]
-    max_size: float = 1e6  # a larger one is refused [m]
-    max_hole: float = 0.25
-    """A surface with a hole wider than this share of the diameter is open. Nearer to a hole than its width, inside and
-    outside are a guess; with a wider hole that would be most of the object.
-    """
-
-
-SURFACE = SurfaceOptions()
+MIN_SIZE = 1e-6  # a smaller one is refused [m]
+MAX_SIZE = 1e6  # a larger one is refused [m]
+MAX_HOLE = 0.25
+"""A surface with a hole wider than this share of the diameter is open. Nearer to a hole than its width, inside and
+outside are a guess; with a wider hole that would be most of the object.
+"""
 
 
 class ObjectWarning(UserWarning):
@@ -30,7 +23,7 @@ class ObjectWarning(UserWarning):
 
 
 class Edges(NamedTuple):
-    """`Edges` are the edges of a mesh, and the triangles that have them."""
+    """Edges of a mesh, and the triangles that have them."""
 
     vertices: Indices  # (e, 2) the two vertices of each edge, the smaller index first
     of_face: Indices  # (m, 3) the edges of each triangle: from its corner 0 to 1, 1 to 2 and 2 to 0
@@ -39,7 +32,7 @@ class Edges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A `Triangles` is the surface of a triangle mesh."""
+    """Surface of a triangle mesh."""
 
     vertices: Array  # (k, 3) [m]
     faces: Indices  # (m, 3) vertex indices, counterclockwise from outside
@@ -52,13 +45,18 @@ class Triangles:
     @property
     def corners(self) -> Array:
         """(m, 3, 3) the corners of each triangle [m]."""
-        return np.asarray(self.vertices[self.faces])
+        return self.vertices[self.faces]
 
     @cached_property
     def doubled_normals(self) -> Array:
         """(m, 3) outward normals as long as twice each triangle's area [m²]."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return np.asarray(np.cross(b - a, c - a))
+        a, b, c = self.corners.swapaxes(0, 1)
+        return np.cross(b - a, c - a)
+
+    @property
+    def normals(self) -> Array:
+        """(m, 3) unit outward normals; zeros of a triangle without area."""
+        return unit(self.doubled_normals)
 
     @cached_property
     def areas(self) -> Array:
@@ -84,7 +82,7 @@ class Triangles:
     @property
     def volume_centroid(self) -> Array:
         """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where that volume is zero."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        a, b, c = self.corners.swapaxes(0, 1)
         sixfold = np.einsum("ij,ij->i", a, np.cross(b, c))
         total = sixfold.sum()
         if not abs(total) > 1e-15:
@@ -98,18 +96,15 @@ class Triangles:
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
         """Returns points and normals as `draw` does, and the index (n,) of each point's triangle."""
         face = drawn_by_area(self.areas, n, rng)
-        u, v = rng.random((2, n))
-        flip = u + v > 1
-        u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-        a, b, c = (self.vertices[self.faces[face, k]] for k in range(3))
-        normals = self.doubled_normals[face]
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return a + u[:, None] * (b - a) + v[:, None] * (c - a), normals, face
+        shares = rng.random((2, n, 1))
+        u, v = np.where(shares.sum(axis=0) > 1, 1 - shares, shares)
+        a, b, c = self.corners[face].swapaxes(0, 1)
+        return a + u * (b - a) + v * (c - a), unit(self.doubled_normals[face]), face
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """A `Cloud` is a surface given by points on it, with their normals and areas."""
+    """Surface given by points on it, with their normals and areas."""
 
     vertices: Array  # (n, 3) [m]
     normals: Array  # (n, 3) unit, outward
@@ -139,11 +134,16 @@ class Cloud:
 Surface = Triangles | Cloud
 
 
+def unit(vectors: Array) -> Array:
+    """Returns vectors (n, 3) scaled to length 1; zeros stay zeros."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(min=1e-300))
+
+
 def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
     """Returns n random indices (n,) of parts, drawn in proportion to the `areas` (m,) of the parts."""
     # Stratified: one draw in each n-th of the area is as uniform as n independent draws, and more even.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
-    return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
+    return np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1)
 
 
 def check_extent(points: Array, name: str) -> float:
@@ -152,9 +152,14 @@ def check_extent(points: Array, name: str) -> float:
         extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
         raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
-    if not SURFACE.min_size <= extent <= SURFACE.max_size or np.abs(points).max() > SURFACE.max_size:
-        expected = f"expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m"
-        raise InvalidObject(f"{name}: {expected}, got {extent:.4g}")
+    far = float(np.abs(points).max())
+    if far > MAX_SIZE and extent <= MAX_SIZE:
+        hint = "map coordinates? `handsight objects add --recentre` moves it there"
+        raise InvalidObject(
+            f"{name}: expected an object near the origin, got one {far:.4g} m from it ({hint})"
+        )
+    if not MIN_SIZE <= extent <= MAX_SIZE:
+        raise InvalidObject(f"{name}: expected a size of {MIN_SIZE:g} to {MAX_SIZE:g} m, got {extent:.4g}")
     return extent
 
 
@@ -181,7 +186,8 @@ def diameter(points: Array) -> float:
         along = (points @ way for way in ways)
         ends = points[np.unique([end for x in along for end in (x.argmin(), x.argmax())])]
         lengths = cdist(ends, ends)
-        length, pair = float(lengths.max()), np.unravel_index(lengths.argmax(), lengths.shape)
+        length = float(lengths.max())
+        pair = np.unravel_index(lengths.argmax(), lengths.shape)
         # Of a longer pair, each end is at least as far from any place as the length less what the other end can be.
         off = np.linalg.norm(points - ends[list(pair)].mean(axis=0), axis=1)
         points = points[off >= (1 - 1e-9) * length - off.max()]

@@ -21,7 +21,7 @@ SAME = 1e-6  # transforms whose entries differ by less are the same
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Symmetries:
-    """`Symmetries` are the rotations T_object_object under which an object's surface is the same."""
+    """Rotations T_object_object under which an object's surface is the same."""
 
     axes: tuple[tuple[Array, Array], ...]
     """Continuous rotation axes, each a point (3,) [m] and a unit direction (3,): none, one, or, for a ball, three at
@@ -42,31 +42,21 @@ class Symmetries:
         for k, (point, direction) in enumerate(axes):
             base = checks.finite(point, f"axes[{k}].point", (3,))
             lines.append((base, checks.unit(direction, f"axes[{k}].direction", (3,))))
-        size, crossing = max([1e-3, *(float(np.abs(point).max()) for point, _ in lines)]), None
-        for other, direction in lines[1:]:
-            point, first = lines[0]
-            gap, normal = other - point, np.cross(first, direction)
-            if np.linalg.norm(normal) < SAME:
-                if np.linalg.norm(np.cross(gap, first)) > 1e-6 * size:
-                    raise InvalidInput("axes: expected axes that cross, got two that are parallel")
-                continue
-            if abs(gap @ normal) > 1e-6 * size * np.linalg.norm(normal):
-                raise InvalidInput("axes: expected axes that cross, got two that pass each other")
-            center = point + (np.cross(gap, direction) @ normal) / (normal @ normal) * first
-            if crossing is not None and np.linalg.norm(center - crossing) > 1e-6 * size:
-                raise InvalidInput("axes: expected axes that cross in one point, got several points")
-            crossing = center
-        ball = [(crossing, axis) for axis in np.eye(3)]
-        object.__setattr__(self, "axes", tuple(lines[:1] if crossing is None else ball))
+        object.__setattr__(self, "axes", tuple(lines))
+        if len(lines) > 1:
+            object.__setattr__(self, "axes", _one_axis_or_three(lines))
         turns = [] if rotations is None else [se3.check(T, "rotations") for T in np.asarray(rotations)]
         group = closed_group(turns, lambda T, all_: np.abs(all_ - T).max(axis=(1, 2)) / SAME, "rotations")
         object.__setattr__(self, "rotations", group)
-        for T in self.rotations if self.axes else ():
-            point, axis = self.axes[0]
-            gap = se3.apply(T, point[None])[0] - point
-            limit = 1e-5 * max(1e-3, float(np.abs(point).max()))
-            moved = np.linalg.norm(gap if self.round else np.cross(gap, axis)) > limit
-            if moved or (not self.round and np.linalg.norm(np.cross(T[:3, :3] @ axis, axis)) > 1e-5):
+        for point, axis in self.axes[:1]:
+            gaps = se3.apply(group, point[None])[:, 0] - point
+            bent = np.cross(group[:, :3, :3] @ axis, axis)
+            if self.round:
+                bent = np.zeros(3)
+            else:
+                gaps = np.cross(gaps, axis)
+            limit = 10 * SAME * max(1e-3, float(np.abs(point).max()))
+            if np.linalg.norm(gaps, axis=1).max() > limit or np.abs(bent).max() > 10 * SAME:
                 raise InvalidInput("rotations: expected rotations that keep the continuous axis in place")
 
     @property
@@ -80,11 +70,26 @@ class Symmetries:
         return not self.axes and len(self.rotations) == 1
 
 
+def _one_axis_or_three(lines: Sequence[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]:
+    """Returns the axes of the symmetries that several axes generate; raises InvalidInput where they do not cross."""
+    points, directions = (np.array(part) for part in zip(*lines, strict=True))
+    across = np.eye(3) - directions[:, :, None] * directions[:, None]
+    towards_lines = (across @ points[:, :, None]).sum(axis=0)[:, 0]
+    # The point nearest to all lines; of parallel ones the matrix has rank 2.
+    center, _, rank, _ = np.linalg.lstsq(across.sum(axis=0), towards_lines, rcond=SAME**2)
+    off = np.linalg.norm(across @ (points - center)[:, :, None], axis=1).max()
+    if off > SAME * max(1e-3, np.abs(points).max()):
+        raise InvalidInput(
+            f"axes: expected axes that cross in one point, got ones that are {off:.2g} m off it"
+        )
+    return tuple(lines[:1]) if rank < 3 else tuple((center, axis) for axis in np.eye(3))
+
+
 def tangents(symmetries: Symmetries, T_palm_object: Array) -> Array:
     """Returns (m, 6): the perturbation (δp, δθ) of a pose (4, 4) per radian of turn about each continuous axis."""
     rows = [np.concatenate([np.cross(point, axis), axis]) for point, axis in symmetries.axes]
     along_object = np.array(rows).reshape(-1, 2, 3)
-    return np.asarray((along_object @ T_palm_object[:3, :3].T).reshape(-1, 6))
+    return (along_object @ T_palm_object[:3, :3].T).reshape(-1, 6)
 
 
 def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float) -> Array:
@@ -99,7 +104,8 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
     candidates = T[..., None, :, :] @ symmetries.rotations
     reference = T_reference[..., None, :, :]
     if symmetries.round:
-        first, center = candidates[..., :1, :, :], symmetries.axes[0][0]
+        first = candidates[..., :1, :, :]
+        center = symmetries.axes[0][0]
         candidates = _nearest_about_center(first, reference, center, radius)
     elif symmetries.axes:
         candidates = _nearest_about_axis(candidates, reference, symmetries.axes[0], radius)
@@ -108,7 +114,7 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
     # A tie to rounding goes to the earlier element, so that the answer does not alternate between equals.
     least = cost.min(axis=-1, keepdims=True)
     best = np.argmax(cost <= least * (1 + 1e-9) + 1e-18, axis=-1)
-    return np.asarray(np.take_along_axis(candidates, best[..., None, None, None], axis=-3)[..., 0, :, :])
+    return np.take_along_axis(candidates, best[..., None, None, None], axis=-3)[..., 0, :, :]
 
 
 def about(point: Array, rotation_vectors: Array) -> Array:
@@ -131,7 +137,7 @@ def check_kept(kept: Array, center: Array, limit: float, name: str) -> None:
     off = float(np.linalg.norm(kept - center))
     if off > max(limit, 1e-3):
         raise InvalidInput(
-            f"{name}: expected a point that the object's symmetries leave in place, got one {1e3 * off:.1f} mm off "
+            f"{name}: expected a point that the object's symmetries leave in place, got one {1000 * off:.1f} mm off "
             "(what weighs more on one side is not symmetric: declare the symmetries that it has)"
         )
 
@@ -148,30 +154,33 @@ def closed_group(generators: Sequence[Array], distance: Callable[[Array, Array],
             product = T @ generator
             if distance(product, np.stack(group)).min() > 1:
                 group.append(product)
-        if len(group) > MAX_ROTATIONS:
-            raise InvalidInput(f"{name}: expected a finite group, got over {MAX_ROTATIONS} products")
+            if len(group) > MAX_ROTATIONS:
+                raise InvalidInput(f"{name}: expected a finite group, got over {MAX_ROTATIONS} products")
     return np.stack(group)
 
 
 def _nearest_about_axis(T: Array, T_reference: Array, line: tuple[Array, Array], radius: float) -> Array:
     """Returns `T` (..., 4, 4) turned about the object's axis, so that it is nearest to the reference."""
     point, axis = line
-    R, R_reference = T[..., :3, :3], T_reference[..., :3, :3]
+    R = T[..., :3, :3]
+    R_reference = T_reference[..., :3, :3]
     q = se3.quaternion_from_rotation(np.swapaxes(R_reference, -1, -2) @ R)
-    along, w = q[..., :3] @ axis, q[..., 3]
+    along = q[..., :3] @ axis
+    w = q[..., 3]
     # A turn's quaternion about the axis, times q, has the real part hypot(w, along) cos(angle / 2 + atan2(along, w)).
     share = np.hypot(w, along)
-    by_rotation = np.where(share > 1e-12, -2 * np.arctan2(along, w), 0.0)
+    by_rotation = np.where(share > SAME**2, -2 * np.arctan2(along, w), 0.0)
     nearest_to_origin = point - (point @ axis) * axis
-    if np.linalg.norm(nearest_to_origin) > 1e-12 * radius:
+    if np.linalg.norm(nearest_to_origin) > SAME**2 * radius:
         # The origin circles the axis: pᵤ = p + R (point - exp(angle axis) point).
         middle = T[..., :3, 3] + R @ nearest_to_origin - T_reference[..., :3, 3]
         target = (middle[..., None, :] @ R)[..., 0, :]
-        cosine, sine = target @ nearest_to_origin, target @ np.cross(axis, nearest_to_origin)
+        cosine = target @ nearest_to_origin
+        sine = target @ np.cross(axis, nearest_to_origin)
         pull = np.hypot(cosine, sine) / radius**2
         by_place = np.arctan2(sine, cosine)
         by_rotation = _best_angle(by_rotation, share, by_place, pull)
-    return np.asarray(T @ about(point, by_rotation[..., None] * axis))
+    return T @ about(point, by_rotation[..., None] * axis)
 
 
 def _nearest_about_center(T: Array, T_reference: Array, center: Array, radius: float) -> Array:
@@ -181,7 +190,8 @@ def _nearest_about_center(T: Array, T_reference: Array, center: Array, radius: f
     target = middle - T_reference[..., :3, 3]
     arm = R_reference @ center
     normal = np.cross(arm, target)
-    sine, cosine = np.linalg.norm(normal, axis=-1), (arm * target).sum(axis=-1)
+    sine = np.linalg.norm(normal, axis=-1)
+    cosine = (arm * target).sum(axis=-1)
     axis = normal / np.where(sine > 0, sine, 1.0)[..., None]
     # From the reference's rotation, turn the arm to the origin part of the way towards where it should point.
     between = np.where(sine > 0, np.arctan2(sine, cosine), 0.0)
@@ -210,7 +220,7 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
         """Returns half the derivative of the cost: θ θ' = θ / sin(θ/2) * share² sin(φ/2) cos(φ/2) / cos(θ/2)."""
         # cos(θ/2) = share cos(φ/2), and θ / sin(θ/2) = 2 / sinc(θ/2).
         ratio = 2 / np.sinc(_remaining_rotation(angle, share) / (2 * np.pi))
-        return np.asarray(ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc))
+        return ratio * share * np.sin(angle / 2) + pull * np.sin(angle - arc)
 
     difference = 1e-5  # of angles [rad], for the second derivative
     widest = np.abs(arc) / (samples - 1)
@@ -219,11 +229,11 @@ def _best_angle(by_rotation: Array, share: Array, by_place: Array, pull: Array) 
         bend = (slope(angle + difference) - here) / difference
         step = np.where(bend > 0, -here / np.where(bend > 0, bend, 1.0), 0.0)
         angle = np.clip(angle + np.clip(step, -widest, widest), np.minimum(arc, 0.0), np.maximum(arc, 0.0))
-    return np.asarray(by_rotation + angle)
+    return by_rotation + angle
 
 
 def _remaining_rotation(angle: Array, share: Array) -> Array:
     """Returns θ in [0, π] as `_best_angle` defines it, from the sine, which keeps its digits near 0."""
     half = angle / 2
     sine = np.sqrt(np.maximum(1 - share**2, 0.0) + (share * np.sin(half)) ** 2)
-    return np.asarray(2 * np.arctan2(sine, np.abs(share * np.cos(half))))
+    return 2 * np.arctan2(sine, np.abs(share * np.cos(half)))

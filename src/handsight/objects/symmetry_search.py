@@ -18,17 +18,14 @@ from handsight.objects.surface import Triangles
 from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
 ORDERS = (8, 6, 5, 4, 3, 2)  # orders of the rotations that are tried about an axis, the highest first
-EQUAL_MOMENTS = (
-    0.15  # share by which two principal moments differ, below which axes between theirs are tried too
-)
-DECLARED_TOLERANCE = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
+EQUAL_MOMENTS = 0.85  # ratio of two principal moments above which axes between theirs are tried too
 
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
 """Angles [rad] that no finite group contains, by which a continuous axis is distinguished from one of high order."""
 
 
 class _Axis(NamedTuple):
-    """An axis about which a turn by 2π / order takes the surface onto itself."""
+    """Axis about which a turn by 2π / order takes the surface onto itself."""
 
     point: Array
     direction: Array
@@ -70,14 +67,17 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
         if len(words) > 1:
             raise InvalidInput(f"symmetry: expected find alone, got {' '.join(words)}")
         return propose_symmetries(model)
-    surface, found = model.surface, list[Symmetries]()
+    surface = model.surface
+    found = list[Symmetries]()
     places = surface.corners.mean(axis=1) if isinstance(surface, Triangles) else surface.vertices
     center = np.average(places, axis=0, weights=surface.areas)  # every symmetry leaves it in place
     for word in words:
         match = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
         if match is None or int(match[2] or 1) > MAX_ROTATIONS:
-            expected = "find, an axis (z: any turn about it), or an axis and a number (z/4: quarter turns)"
-            raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
+            raise InvalidInput(
+                "symmetry: expected find, an axis (z: any turn about it), or an axis and a number (z/4: quarter "
+                f"turns), got {word!r}"
+            )
         axis = np.eye(3)["xyz".index(match[1])]
         turn = about(center, 2 * np.pi / int(match[2]) * axis)[None] if match[2] else None
         found.append(Symmetries([] if match[2] else [(center, axis)], turn))
@@ -91,20 +91,23 @@ def check_symmetries(
     symmetries: Symmetries,
     name: str = "symmetries",
     came: str = "one",
-    tolerance: float = DECLARED_TOLERANCE,
+    tolerance: float = 0.04,
 ) -> None:
     """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them.
 
-    `tolerance`: how far a turn may move a point off the surface [diameters].
+    `tolerance`: how far a turn may move a point off the surface [diameters]; less where a person declares it than where
+    a library does.
     """
     if symmetries.trivial:
         return
-    points, angles = model.sample(1000)[0], 2 * np.pi * np.arange(1, 12) / 12
+    points = model.sample(1000)[0]
+    angles = 2 * np.pi * np.arange(1, 12) / 12
     turns = [about(point, angle * axis) for point, axis in symmetries.axes for angle in angles]
     off = max(_distance(model, points, T) for T in (*symmetries.rotations[1:], *turns))
     if off > tolerance * model.diameter:
-        expected = "expected turns that leave the surface in place"
-        raise InvalidInput(f"{name}: {expected}, got {came}, which is {1e3 * off:.1f} mm off")
+        raise InvalidInput(
+            f"{name}: expected turns that leave the surface in place, got {came}, which is {1000 * off:.1f} mm off"
+        )
 
 
 def _distance(model: ObjectModel, points: Array, T: Array) -> float:
@@ -114,24 +117,26 @@ def _distance(model: ObjectModel, points: Array, T: Array) -> float:
 
 
 class _Search:
-    """A search for symmetry axes of an object, by the distances of its turned samples from its surface."""
+    """Search for symmetry axes of an object, by the distances of its turned samples from its surface."""
 
     def __init__(self, model: ObjectModel, tolerance: float) -> None:
         self.points, _ = model.sample(400)
         many, _ = model.sample(4000, seed=1)
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
-        self.model, self.size = model, model.diameter
+        self.model = model
+        self.size = model.diameter
         self.worst = partial(_distance, model, self.points)
         self.limit = tolerance + self.worst(np.eye(4))
 
     def directions(self) -> Array:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
-        found, moments = np.vstack([self.principal.T[::-1], np.eye(3)]), self.moments
-        if moments[0] > (1 - EQUAL_MOMENTS) * moments[2]:
+        found = np.vstack([self.principal.T[::-1], np.eye(3)])
+        moments = self.moments
+        if moments[0] > EQUAL_MOMENTS * moments[2]:
             return np.vstack([found, se3.directions(2 * 150)[:150]])  # a half sphere
         for i, j in ((0, 1), (1, 2)):
-            if moments[i] > (1 - EQUAL_MOMENTS) * moments[j]:
+            if moments[i] > EQUAL_MOMENTS * moments[j]:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
                 found = np.vstack([found, between])
@@ -148,7 +153,7 @@ class _Search:
             arm = (moved - T[:3, 3]) / self.size
             rows = np.hstack([gradient, np.cross(arm, gradient)])
             # The damping keeps directions that the surface does not determine where they are.
-            normal = rows.T @ rows + 1e-3 * len(rows) * np.diag([0.01] * 3 + [0.001] * 3)
+            normal = rows.T @ rows + len(rows) * np.diag([1e-5] * 3 + [1e-6] * 3)
             change = -np.linalg.solve(normal, rows.T @ distance) / np.repeat([1.0, self.size], 3)
             T = se3.moved(T, change)
         return T
@@ -161,7 +166,8 @@ class _Search:
             return None
         vector = se3.rotation_log(T[:3, :3])
         angle = np.linalg.norm(vector)
-        along, offset = vector / angle, se3.apply(T, self.center[None])[0] - self.center
+        along = vector / angle
+        offset = se3.apply(T, self.center[None])[0] - self.center
         across = offset - (offset @ along) * along
         point = self.center + np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)[0]
         if abs(angle - angles[0]) > drift or any(
@@ -208,12 +214,11 @@ class _Search:
                 diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
                 candidates.append(np.vstack([2 * np.pi / order * frame, diagonal]))
         for main in axes:  # dihedral: an axis with half turns across it
-            across = [
-                a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1
-            ]
-            if across:
-                frame = se3.axes_along(main.direction, across[0]).T
-                candidates.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
+            for half in axes:
+                if half.order % 2 == 0 and abs(half.direction @ main.direction) < 0.1:
+                    frame = se3.axes_along(main.direction, half.direction).T
+                    candidates.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
+                    break
         for vectors in (*candidates, cyclic[None]):
             found = Symmetries(rotations=about(center, vectors))
             if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):

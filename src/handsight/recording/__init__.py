@@ -1,11 +1,12 @@
 """Recordings: MCAP, rosbag 1 and rosbag 2 read as `Observation`s and written as MCAP; tracks written as MCAP, TUM, CSV.
 
-`handsight.messages` describes how messages become observations, for a recording as for a running robot. Everything
-readable of a damaged file is read; `report.truncated` and `report.sentences()` say what was lost.
+`handsight.messages` describes how messages become observations, for a recording as for a running robot. A damaged
+file is read up to the damage, or refused in a sentence that names the tool to mend it; `report.sentences()` says what
+was lost.
 """
 
-from handsight.recording.bop import BopResult, read_bop_results
-from handsight.recording.open import Recording, RecordingReport, open_recording
+from handsight.recording.open import Recording, open_recording
+from handsight.recording.pose_file import GivenPose, read_poses
 from handsight.recording.write import (
     RecordingWriter,
     TrackRow,
@@ -15,13 +16,12 @@ from handsight.recording.write import (
 )
 
 __all__ = [
-    "BopResult",
+    "GivenPose",
     "Recording",
-    "RecordingReport",
     "RecordingWriter",
     "TrackRow",
     "open_recording",
-    "read_bop_results",
+    "read_poses",
     "write_track_csv",
     "write_track_mcap",
     "write_track_tum",

@@ -2,19 +2,19 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from handsight import se3
+from handsight.checks import Array
+from handsight.messages.report import shortened
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
-from handsight.vision import JudgedStarts, ObjectDetection, SceneDetection
+from handsight.vision import ObjectDetection, SceneDetection
 from handsight.vision.object.locate import Recognition
 
-MAX_REASONS = 3
-"""Reasons that are listed why none of several objects was found."""
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR, IMPROBABLE = 3.0, 0.005
@@ -23,7 +23,7 @@ FAR, IMPROBABLE = 3.0, 0.005
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Located:
-    """A `Located` is the result of locating an object in one image, or of recognising which of several it shows."""
+    """The result of locating an object in one image, or of recognising which of several it shows."""
 
     frame: Frame
     model: ObjectModel
@@ -38,12 +38,15 @@ class Located:
     @property
     def reason(self) -> str | None:
         """Why no object was found, with the median depth, which reveals a wrong unit; None: an object was found."""
-        reason, depth = (self.recognition or self.found).reason, self.frame.depth
-        if reason is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
+        reason = (self.recognition or self.found).reason
+        known = self.frame.depth[self.frame.depth > 0]
+        if reason is None or not np.isfinite(known).any():
             return reason
-        median = float(np.median(known))
-        hint = "; in tenths of millimetres? then --depth-scale 0.0001" if median > FAR else ""
-        if not hint and 0 < self.found.probability < IMPROBABLE:  # as everything is at another scale
+        median = float(np.median(known[np.isfinite(known)]))
+        hint = ""
+        if median > FAR:
+            hint = "; in tenths of millimetres? then --depth-scale 0.0001"
+        elif 0 < self.found.probability < IMPROBABLE:  # as everything is at another scale
             hint = "; if that is not the distance of the scene, set --depth-scale"
         return f"{reason} (median depth {median:.2f} m{hint})"
 
@@ -61,82 +64,85 @@ class Located:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LocatedAll:
-    """A `LocatedAll` is the result of locating all of several objects in one image."""
+    """The result of locating all of several objects in one image."""
 
     frame: Frame
     models: Mapping[str, ObjectModel]
     found: SceneDetection
     seconds: float
     """Duration of the search [s]."""
-    starts: Mapping[str, JudgedStarts] = field(default_factory=dict)
-    """Of poses that were given, by the object's name: are they right?"""
 
     @property
     def instances(self) -> list[Located]:
         """Each object that was found, the most probable first."""
         located = partial(Located, frame=self.frame, seconds=self.seconds)
-        each = ((i.name, replace(i.detection, probability=i.probability)) for i in self.found.instances)
-        return [located(model=self.models[name], found=one) for name, one in each]
+        return [located(model=self.models[one.name], found=one.detection) for one in self.found.instances]
 
     @property
     def reason(self) -> str | None:
         """Why none was found; None: at least one was found."""
         if self.found.instances:
             return None
-        reasons = list(dict.fromkeys(self.found.missing.values()))
-        more = [f"and {len(reasons) - MAX_REASONS} more"] * (len(reasons) > MAX_REASONS)
-        return "; ".join([*reasons[:MAX_REASONS], *more])
+        return "; ".join(shortened(dict.fromkeys(self.found.missing.values())))
 
 
-def json_line(row: Located | LocatedAll | Unread, *, complete: bool = False) -> str:
+def json_line(row: Located | LocatedAll | Unread) -> str:
     """Returns a line of JSON without its newline; for an unreadable image, `{"frame": ..., "error": ...}`.
 
-    Poses are `T_camera_object`, in the camera's optical frame [m]. complete: with all hypotheses of each object; else
-    with the likeliest only, the others of a weight above 0.01.
+    Poses are `T_camera_object`, in the camera's optical frame [m]; of each object's hypotheses the likeliest.
     """
     if isinstance(row, Unread):
         return json.dumps({"frame": row.name, "error": row.reason})
-    frame, reason = row.frame, row.reason
-    fields: dict[str, object] = {"frame": frame.name}
-    if frame.number is not None:
-        fields |= dict(zip(("scene_id", "im_id"), frame.number, strict=True))
+    fields: dict[str, object] = {"frame": row.frame.name}
+    if row.frame.number is not None:
+        fields |= dict(zip(("scene_id", "im_id"), row.frame.number, strict=True))
+    found = row.reason is None
     if isinstance(row, LocatedAll):
-        pixels = [int(each.pixels.sum()) for each in row.found.instances]
-        objects = [
-            {"object": each.model.name} | _pose_fields(each, complete) | {"pixels": n}
-            for each, n in zip(row.instances, pixels, strict=True)
-        ]
-        fields |= {"found": reason is None, "objects": objects, "missing": row.found.missing}
-        if row.starts:
-            fields["starts"] = {name: _judged(starts) for name, starts in row.starts.items()}
-        return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
-    fields |= {"object": row.name, "found": reason is None}
-    if row.recognition is not None:
-        fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
-    fields |= _pose_fields(row, complete) if reason is None else {"reason": reason}
-    if (starts := row.found.starts) is not None:
-        fields["starts"] = _judged(starts)
-    return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
+        objects = list[dict[str, object]]()
+        for each, instance in zip(row.instances, row.found.instances, strict=True):
+            pixels = int(instance.pixels.sum())
+            objects.append({"object": each.model.name} | _pose_fields(each) | {"pixels": pixels})
+        fields |= {"found": found, "objects": objects, "missing": row.found.missing}
+    else:
+        fields |= {"object": row.name, "found": found}
+        if row.recognition is not None:
+            fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
+        fields |= _pose_fields(row) if found else {"reason": row.reason}
+    if row.frame.notes:
+        fields["notes"] = row.frame.notes
+    fields["seconds"] = row.seconds
+    return json.dumps(fields, allow_nan=False, default=np.ndarray.tolist)
 
 
-def _pose_fields(row: Located, complete: bool) -> dict[str, object]:
-    """Returns an object's pose, probability and hypotheses as JSON has them; not `complete`: the likeliest of these."""
-    columns, poses = (row.found.Ts_camera_object, row.found.covariances, row.found.weights), []
-    for T, covariance, weight in zip(*columns, strict=True):
-        pose = {**se3.position_quaternion(T), "covariance": covariance}
-        poses.append({key: value.tolist() for key, value in pose.items()} | {"weight": float(weight)})
-    if not complete:  # the likeliest is the first
-        likely = 1 + int((row.found.weights[1:MAX_HYPOTHESES] > MIN_WEIGHT).sum())
-        poses = poses[:likely]
-    fields = {key: value for key, value in poses[0].items() if key != "weight"}
-    return fields | {"probability": row.found.probability, "explained": row.explained, "hypotheses": poses}
+def _pose_fields(row: Located) -> dict[str, object]:
+    """Returns an object's pose, probability and likeliest hypotheses as JSON has them, but for arrays."""
+    found = row.found
+    poses = list[dict[str, object]]()
+    likely = 1 + int((found.weights[1:MAX_HYPOTHESES] > MIN_WEIGHT).sum())  # the likeliest is the first
+    for k in range(likely):
+        pose = se3.position_quaternion(found.Ts_camera_object[k])
+        poses.append(pose | {"covariance": found.covariances[k]})
+    hypotheses = [pose | {"weight": found.weights[k]} for k, pose in enumerate(poses)]
+    starts = (row.frame.starts or {}).get(row.model.name)
+    from_start = {} if starts is None else {"from_start": _nearest_start(row, starts)}
+    return (
+        poses[0]
+        | from_start
+        | {
+            "probability": found.probability,
+            "explained": row.explained,
+            "hypotheses": hypotheses,
+        }
+    )
 
 
-def _judged(starts: JudgedStarts) -> list[dict[str, object]]:
-    """Returns what the image says of poses that were given as JSON has it."""
-    judged = starts.right, starts.probabilities, starts.moved, starts.better
-    each = zip(*(column.tolist() for column in judged), strict=True)
-    return [dict(zip(("right", "probability", "moved", "better"), values, strict=True)) for values in each]
+def _nearest_start(row: Located, starts: Array) -> dict[str, float]:
+    """Returns how far the found pose is from the nearest given one, modulo the object's symmetries."""
+    T = row.found.Ts_camera_object[0]
+    offs = np.array([se3.difference(row.model.nearest(start, T), T) for start in starts])
+    shifts, turns = (np.linalg.norm(part, axis=1) for part in (offs[:, :3], offs[:, 3:]))
+    nearest = (shifts + row.model.radius * turns).argmin()
+    return {"shift_mm": 1e3 * shifts[nearest], "turn_deg": float(np.degrees(turns[nearest]))}
 
 
 def bop_lines(row: Located | LocatedAll | Unread, numbers: Mapping[str, int]) -> list[str]:

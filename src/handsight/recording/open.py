@@ -1,26 +1,26 @@
 """Opening of recordings as streams of observations; a file's kind is known from its first bytes, not from its name."""
 
+import os
 import re
-from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass
-from itertools import chain, islice
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from handsight.camera import Camera
-from handsight.errors import InvalidFile, printable
-from handsight.files import read_bytes
-from handsight.messages import ObservationStream, Report
+from handsight.checks import suggestion
+from handsight.errors import InvalidFile
+from handsight.files import open_regular, read_bytes
+from handsight.messages import ObservationStream
+from handsight.messages.decode import rosbags_module
 from handsight.observation import Observation
-from handsight.recording.chunks import Source, unpack_file
-from handsight.recording.mcap import McapSource
-from handsight.recording.rosbag1 import Rosbag1Source
-from handsight.recording.rosbag2 import SqliteSource
+from handsight.recording.bags import Rosbag1Source, SqliteSource
+from handsight.recording.mcap import MAX_EXPANSION, SPARE_UNPACKED, McapSource
+from handsight.recording.source import ZSTD, Source
 from handsight.rig import Rig
 
+ENDINGS = ".mcap", ".db3"
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
 
 
@@ -33,33 +33,8 @@ def open_recording(path: str | Path, rig: Rig) -> "Recording":
     return Recording(Path(path), rig)
 
 
-@dataclass(slots=True, kw_only=True)
-class RecordingReport(Report):
-    """A `RecordingReport` counts the messages of a recording that have been read."""
-
-    files: Sequence[Source]
-    """The recording's file, or files if the recorder has split it; `damage` of each has what could not be read."""
-
-    @property
-    def truncated(self) -> str | None:
-        """Where the first cut file ends, in words; None: all files are complete."""
-        return next((file.truncated for file in self.files if file.truncated), None)
-
-    def sentences(self) -> list[str]:
-        """Returns a sentence for each problem that a user should know about, worst first."""
-        messages, damage, most_damage = list[str](), list[str](), 5
-        for file in self.files:
-            if file.truncated:
-                messages.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
-            damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
-        messages = [printable(each) for each in messages + damage[:most_damage]]
-        if len(damage) > most_damage:
-            messages.append(f"{self.files[0].path}: damaged in {len(damage) - most_damage} more places")
-        return messages + Report.sentences(self)  # super() does not work in a dataclass with slots
-
-
 class Recording(AbstractContextManager["Recording"]):
-    """A `Recording` is an open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
+    """An open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
         self._path, self._rig, self._topics = path, rig, dict[str, str]()
@@ -73,12 +48,10 @@ class Recording(AbstractContextManager["Recording"]):
             self._opened = opened.pop_all()
 
     def _begin(self) -> None:
-        self.report = RecordingReport(self._rig.topics.joint_states, files=self._files)
+        self._stream = ObservationStream(self._rig, self._topics)
+        self.report = self._stream.report
         """Counts of the messages, and sentences about what is wrong with them."""
-        self._stream = ObservationStream(self._rig, self._topics, report=self.report)
-        self._at, self._ready = 0, deque[Observation]()
-        for file in self._files:
-            file.place = None
+        self.report.files = self._files
         self.truth = self._stream.truth
         """Stamps [s] and true poses `T_palm_object` (4, 4) on the rig's topic of the truth; never in an observation."""
 
@@ -93,7 +66,8 @@ class Recording(AbstractContextManager["Recording"]):
 
     def calibrated_rig(self) -> Rig:
         """Returns the rig as `ObservationStream.calibrated`, by a CameraInfo of the first thousand observations."""
-        camera, topics = self._rig.camera, self._rig.topics
+        camera = self._rig.camera
+        topics = self._rig.topics
         if camera is None or camera.intrinsics is not None or None in (topics.depth, topics.camera_info):
             return self._rig
         for _ in islice(self.observations(), 1000):
@@ -101,33 +75,17 @@ class Recording(AbstractContextManager["Recording"]):
                 break
         return self._stream.calibrated(self._rig)
 
-    @property
-    def place(self) -> tuple[Any, ...]:
-        """Returns all that the next observations depend on, between two of them."""
-        return self._at, self._ready, self._stream, self.report, [(f.place, f.damage) for f in self._files]
-
-    def observations(self, place: tuple[Any, ...] | None = None) -> Iterator[Observation]:
-        """Yields the observations in order of stamp, one for each joint state message; those after `place`, if given.
+    def observations(self) -> Iterator[Observation]:
+        """Yields the observations in order of stamp, one for each joint state message.
 
         The file is read as the iterator advances, in bounded memory. Each call starts at the beginning, with a new
         `report` and `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
-        if place is not None:
-            self._at, self._ready, self._stream, self.report, places = place
-            self.truth, self.report.files = self._stream.truth, self._files
-            for file, known in zip(self._files, places, strict=True):
-                file.place, file.damage = known
-        while self._at <= len(self._files):
-            ended = self._at == len(self._files)
-            messages = () if ended else self._files[self._at].messages(self._stream.topics)
-            last = [self._stream.finish()] if ended else []
-            # First, what was ready at `place`.
-            for found in chain([[]], map(self._stream.put, messages), last):
-                self._ready.extend(found)
-                while self._ready:
-                    yield self._ready.popleft()
-            self._at += 1
+        for file in self._files:
+            for message in file.messages(self._stream.topics):
+                yield from self._stream.put(message)
+        yield from self._stream.finish()
         if not self.report.topics[self._rig.topics.joint_states].messages:
             raise self._without_joints()
 
@@ -136,11 +94,10 @@ class Recording(AbstractContextManager["Recording"]):
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
-        topic, names, most = self._rig.topics.joint_states, sorted(self._topics), 12
-        more = f" and {len(names) - most} more" if len(names) > most else ""
-        cut = f" ({self.report.truncated})" if self.report.truncated else ""
-        there = f"topics there: {', '.join(names[:most]) or 'none'}{more}{cut}"
-        return InvalidFile(f"{self._path}: expected joint states on {topic}, got none; {there}")
+        topic = self._rig.topics.joint_states
+        faults = "".join(f"; {fault}" for fault in self.report.faults[:1])
+        there = suggestion(topic, self._topics) or "; there is no topic"
+        return InvalidFile(f"{self._path}: expected joint states on {topic}, got none{there}{faults}")
 
     def close(self) -> None:
         """Closes the files."""
@@ -156,44 +113,54 @@ def open_files(path: Path) -> Iterator[Source]:
         if not path.is_dir():
             yield _open_file(path)
             return
-        # Whether the recorder compressed files, messages or nothing.
-        metadata, packed = path / "metadata.yaml", None
-        if metadata.exists():
-            pattern = rb"""compression_mode:\s*['"]?(file|message)"""
-            packed = re.search(pattern, read_bytes(metadata, 1 << 20), re.IGNORECASE)
-        by_file = packed is not None and packed[1].lower() == b"file"
-        endings = (".mcap.zstd", ".db3.zstd") if by_file else (".mcap", ".db3")
-        files = [file for file in path.iterdir() if file.name.endswith(endings)]
+        files = [f for f in path.iterdir() if f.name.removesuffix(".zstd").endswith(ENDINGS)]
         if not files:
-            raise InvalidFile(f"{path}: {EXPECTED}, got a folder without {' or '.join(endings)} files")
+            raise InvalidFile(f"{path}: {EXPECTED}, got a folder without {' or '.join(ENDINGS)} files")
+        messages_packed = _messages_packed(path)
         for file in sorted(files, key=lambda file: (len(file.name), file.name)):
-            if not by_file:
-                source = _open_file(file)
-                source.packed = packed is not None
-                yield source
-                continue
-            # The unpacked file is removed at once, though still open; on systems that forbid this, it stays.
-            with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-                copy = Path(folder) / file.stem
-                with copy.open("wb") as stream:
-                    unpack_file(file, stream)
-                try:
-                    source = _open_file(copy)
-                except InvalidFile as error:
-                    raise InvalidFile(str(error).replace(str(copy), str(file))) from None
-            source.path = file
+            source = _open_packed_file(file) if file.suffix == ".zstd" else _open_file(file)
+            source.packed = messages_packed
             yield source
     except OSError as error:
         raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
 
 
+def _messages_packed(folder: Path) -> bool:
+    """Returns whether the recorder has compressed each message on its own."""
+    metadata = folder / "metadata.yaml"
+    pattern = rb"""compression_mode:\s*['"]?message"""
+    text = read_bytes(metadata, 1 << 20) if metadata.exists() else b""
+    return re.search(pattern, text, re.IGNORECASE) is not None
+
+
+def _open_packed_file(path: Path) -> Source:
+    """Returns a file that is compressed with zstd as a whole, unpacked up to the first damage.
+
+    Raises InvalidFile, also where it unpacks to far more than a recording would.
+    """
+    zstd = rosbags_module(ZSTD)
+    # The unpacked file is removed at once, though still open; on systems that forbid this, it stays.
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        copy = Path(folder) / path.stem
+        with open_regular(path) as packed, copy.open("wb") as file, suppress(EOFError, zstd.ZstdError):
+            most = SPARE_UNPACKED + MAX_EXPANSION * os.fstat(packed.fileno()).st_size
+            with zstd.open(packed) as pieces:  # what lies before an error is read
+                while piece := pieces.read(1 << 20):
+                    file.write(piece)
+                    if file.tell() > most:
+                        raise InvalidFile(f"{path}: expected at most {most} bytes when unpacked, got more")
+        try:
+            source = _open_file(copy)
+        except InvalidFile as error:
+            raise InvalidFile(str(error).replace(str(copy), str(path))) from None
+    source.path = path
+    return source
+
+
 def _open_file(path: Path) -> Source:
-    if not path.is_file():
-        raise InvalidFile(f"{path}: {EXPECTED}, got no file")
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         first = file.read(16)
     for kind in (McapSource, Rosbag1Source, SqliteSource):
         if first.startswith(kind.MAGIC):
             return kind(path)
-    came = f"a file that begins with {first!r}" if first else "an empty file"
-    raise InvalidFile(f"{path}: {EXPECTED}, got {came}")
+    raise InvalidFile(f"{path}: {EXPECTED}, got a file that begins with {first!r}")

@@ -23,14 +23,14 @@ from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.reconstruction.reconstruct import View, within
 from handsight.vision.reconstruction.segmentation import (
     IN_HAND_BOUNDS,
-    SEGMENTATION,
+    MIN_PIXELS,
     InHandView,
     without_table,
 )
 
 
 class HandPixels:
-    """A `HandPixels` finds the hand's pixels in the consecutive images of one camera."""
+    """The hand's pixels in the consecutive images of one camera."""
 
     def __init__(self, rig: Rig) -> None:
         """The search for the palm is as wide as the constant standard deviations of the rig's camera."""
@@ -52,13 +52,16 @@ class HandPixels:
 
         None: the palm's pose is unknown by the calibration too.
         """
-        calibrated, of = _in_camera("palm", self._rig, observation), self._rig.camera
+        calibrated = _in_camera("palm", self._rig, observation)
+        of = self._rig.camera
         if calibrated is None or of is None:
             return None
         last = self._T_detected_calibrated
-        near, sigma = calibrated, (of.sigma_position_constant, of.sigma_rotation_constant)
+        near = calibrated
+        sigma = (of.sigma_position_constant, of.sigma_rotation_constant)
         if last is not None:  # the hand was detected before, so it is near [m, rad]
-            near, sigma = last @ calibrated, (0.01, float(np.deg2rad(2)))
+            near = last @ calibrated
+            sigma = (0.01, float(np.deg2rad(2)))
         given = camera, depth, observation.joint_positions, near, sigma
         found = self._hand.detected(*given, follow=last is not None) if min(sigma) > 0 else None
         self.found = min(sigma) <= 0 or isinstance(found, PalmDetection)
@@ -98,8 +101,9 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to find the hand in the images, got none")
-    pixels, sensors = HandPixels(rig), FingertipSensors(rig)
-    in_hand = InHandView(rig.hand, rig.sigma_joint_offset)
+    pixels = HandPixels(rig)
+    sensors = FingertipSensors(rig)
+    in_hand = InHandView(rig.hand, rig.joint_errors(rig.hand.shape().joints, rig.sigma_joint_offset))
     T_palm_object: Array | None = None
     for observation in observations:
         joints = observation.joint_positions
@@ -123,7 +127,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
             tips = tips[[list(rig.hand.tips).index(name) for name in touching]]
         alone = without_table(camera, in_hand.without_hand(camera, depth, joints, T))
         view = View(alone, T @ at_middle, tips - at_middle[:3, 3])
-        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
+        if within(camera, view, IN_HAND_BOUNDS).sum() < MIN_PIXELS:
             yield "nothing but the hand"
             continue
         T_palm_object = at_middle
@@ -141,7 +145,8 @@ def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observatio
     """Returns `T_camera_body` (4, 4) by the camera's calibration; None: unknown."""
     if rig.camera is None:
         return None
-    T_camera_mount, T_world_palm = se3.inverse(rig.camera.T_mount_camera), observation.T_world_palm
+    T_camera_mount = se3.inverse(rig.camera.T_mount_camera)
+    T_world_palm = observation.T_world_palm
     if rig.camera.on == body:
         return T_camera_mount
     if T_world_palm is None:

@@ -3,8 +3,9 @@
 import csv
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +25,7 @@ from handsight.rig import Rig
 
 
 class McapFile:
-    """A `McapFile` is an MCAP file with zstd chunks, open for writing; it appears at `path` when it is closed."""
+    """An MCAP file with zstd chunks, open for writing; it appears at `path` when it is closed."""
 
     def __init__(self, path: Path) -> None:
         """Raises InvalidFile where nothing can be written, MissingExtra without rosbags."""
@@ -35,7 +36,8 @@ class McapFile:
         with write_errors(path):
             # rosbags writes a folder with the file in it. In the same parent folder, so a rename is enough.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-            plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
+            plugin = rosbag2.StoragePlugin.MCAP
+            mode = rosbag2.CompressionMode.STORAGE
             self._writer = rosbag2.Writer(self._folder / "bag", version=9, storage_plugin=plugin)
             self._writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
             self._writer.open()
@@ -73,10 +75,19 @@ class McapFile:
 
 
 class RecordingWriter(McapFile):
-    """A `RecordingWriter` writes a rig's observations to an MCAP file, with the rig's topics and frame ids."""
+    """An MCAP file of a rig's observations, with the rig's topics and frame ids."""
 
     def __init__(self, path: str | Path, rig: Rig) -> None:
-        """The file appears at `path` when it is closed, in place of an older one. Raises InvalidFile, MissingExtra."""
+        """The file appears at `path` when it is closed, in place of an older one.
+
+        Raises InvalidInput for a rig that reads joint states otherwise than they are written, as JointStates in
+        radians; InvalidFile, MissingExtra.
+        """
+        if rig.topics.joint_reading is not None:
+            came = checks.brief(rig.topics.joint_reading)
+            raise InvalidInput(
+                f"rig.topics.joint_reading: expected None, as a JointState is written, got {came}"
+            )
         super().__init__(Path(path))
         self._rig = rig
 
@@ -87,21 +98,23 @@ class RecordingWriter(McapFile):
         contact's covariance is lost, as its message has no field for it. Raises InvalidInput where the rig lacks a
         topic for something in the observation, and for stamps that a message cannot hold.
         """
-        stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
+        stamp = observation.stamp
+        topics = self._rig.topics
+        frames = self._rig.frames
         top = encode.header(stamp)
         if observation.joint_positions is not None:
-            names, none = list(observation.joint_positions), np.zeros(0)
             position = np.array([*observation.joint_positions.values()], np.float64)
-            joints = {"name": names, "position": position, "velocity": none, "effort": none}
-            self.append(topics.joint_states, RosType.JOINTS, stamp, header=top, **joints)
+            joints = {"name": list(observation.joint_positions), "position": position}
+            none = dict.fromkeys(("velocity", "effort"), np.zeros(0))
+            self.append(topics.joint_states, RosType.JOINTS, stamp, header=top, **joints, **none)
         for finger, wrench in observation.wrenches.items():
-            topic = _finger_topic(topics.wrenches, finger, "wrenches")
+            topic = _topic(topics.wrenches.get(finger), f"wrenches.{finger}")
             value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
             body = encode.Message(force=encode.parts("xyz", value[:3]), torque=encode.parts("xyz", value[3:]))
             frame = encode.header(stamp, f"{finger}_sensor")  # its own, for which the rig has no name
             self.append(topic, RosType.WRENCH, stamp, header=frame, wrench=body)
         for finger, contact in observation.contacts.items():
-            topic = _finger_topic(topics.contacts, finger, "contacts")
+            topic = _topic(topics.contacts.get(finger), f"contacts.{finger}")
             fields = encode.contact_fields(contact, stamp, frames["palm"])
             self.append(topic, RosType.CONTACT, stamp, **fields)
         for array, reading in observation.skin.items():  # without a header: its log time is its stamp
@@ -112,20 +125,20 @@ class RecordingWriter(McapFile):
             T_world_palm = se3.check(observation.T_world_palm, "T_world_palm")
             link = encode.transform(T_world_palm, stamp, frames["world"], frames["palm"])
             self.append(_topic(topics.tf, "tf"), RosType.TF, stamp, transforms=[link])
-        if (vision := observation.vision) is not None:
+        vision = observation.vision
+        if vision is not None:
             top = encode.header(stamp if vision.stamp is None else vision.stamp, frames[vision.frame])
             body = encode.pose_with_covariance(vision.T_frame_object, vision.covariance)
             topic = _topic(topics.vision, "vision")
             self.append(topic, RosType.POSE_COVARIANCE, stamp, header=top, pose=body)
-        taken = stamp if observation.image_stamp is None else observation.image_stamp
         if observation.color is not None:
             color = np.asarray(observation.color, np.uint8)
-            self._write_image((stamp, taken), _topic(topics.color, "color"), "rgb8", color)
-        if (depth := observation.depth) is not None:
-            with np.errstate(invalid="ignore"):
-                known = (depth > 0) & (depth < 65.5)
+            self._write_image(observation, _topic(topics.color, "color"), "rgb8", color)
+        if observation.depth is not None:
+            depth = np.nan_to_num(observation.depth)
+            known = (depth > 0) & (depth < 65.5)
             millimetres = np.round(np.where(known, depth, 0) * 1000).astype("<u2")
-            self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", millimetres)
+            self._write_image(observation, _topic(topics.depth, "depth"), "16UC1", millimetres)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
         """Appends the true pose of the object (4, 4) on the rig's topic of the truth; raises InvalidInput."""
@@ -135,16 +148,19 @@ class RecordingWriter(McapFile):
         self.append(topic, RosType.POSE, stamp, header=top, pose=truth)
 
     def _write_image(
-        self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
+        self, observation: Observation, topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
-        """Appends an image and its CameraInfo; `stamps`: the log time, and when the image was taken [s]."""
-        stamp, taken = stamps
+        """Appends an image of an observation, and its CameraInfo."""
+        stamp = observation.stamp
+        taken = observation.image_stamp
+        header = encode.header(stamp if taken is None else taken, self._rig.frames["camera"])
         height, width = pixels.shape[:2]
-        top = {"header": encode.header(taken, self._rig.frames["camera"]), "height": height, "width": width}
+        top = {"header": header, "height": height, "width": width}
         data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
         fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // height, "data": data}
         self.append(topic, RosType.IMAGE, stamp, **top, **fields)
-        camera, info = self._rig.camera, self._rig.topics.camera_info
+        camera = self._rig.camera
+        info = self._rig.topics.camera_info
         if camera is None or camera.intrinsics is None or info is None:
             return
         K = np.asarray(camera.intrinsics, dtype=np.float64)
@@ -162,15 +178,17 @@ def _topic(topic: str | None, name: str) -> str:
     return topic
 
 
-def _finger_topic(topics: Mapping[str, str], finger: str, name: str) -> str:
-    if finger not in topics:
-        raise InvalidInput(f"{name}: expected fingers {', '.join(topics) or '(none)'}, got {finger!r}")
-    return topics[finger]
+ROW_CHECKS: dict[str, Callable[[Array, str], Array]] = {
+    "T_palm_object": se3.check,
+    "covariance": partial(checks.covariance, shape=(6, 6)),
+    "information": partial(checks.finite, shape=(6, 6)),
+}
+"""What checks the arrays of a row, by field; raises InvalidInput."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """A `TrackRow` is the object's tracked pose at one instant; rows without a pose are only in the CSV."""
+    """The object's tracked pose at one instant; rows without a pose are only in the CSV."""
 
     stamp: float
     """Time of the pose [s]."""
@@ -186,16 +204,11 @@ class TrackRow:
     """(6, 6) information, which may be singular, for where the covariance is None; None: nothing is known."""
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.stamp):
-            raise InvalidInput(f"row.stamp: expected a finite number, got {self.stamp}")
-        if self.T_palm_object is not None:
-            object.__setattr__(self, "T_palm_object", se3.check(self.T_palm_object, "row.T_palm_object"))
-        if self.covariance is not None:
-            covariance = checks.covariance(self.covariance, "row.covariance", (6, 6))
-            object.__setattr__(self, "covariance", covariance)
-        if self.information is not None:
-            information = checks.finite(self.information, "row.information", (6, 6))
-            object.__setattr__(self, "information", information)
+        checks.finite(self.stamp, "row.stamp", ())
+        for name, check in ROW_CHECKS.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, check(value, f"row.{name}"))
 
     @property
     def bounded_covariance(self) -> Array:
@@ -234,8 +247,8 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """
     with text_file(path) as file:
         table = csv.writer(file, lineterminator="\n")
-        sigma_columns = (f"sigma_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
-        table.writerow(("stamp", "state", "reason", "x", "y", "z", "qx", "qy", "qz", "qw", *sigma_columns))
+        columns = ["stamp", "state", "reason", "x", "y", "z", "qx", "qy", "qz", "qw"]
+        table.writerow([*columns, *(f"sigma_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))])
         for row in rows:
             pose = [""] * 7 if row.T_palm_object is None else _pose(row.T_palm_object)
             sigmas = [""] * 6
@@ -245,4 +258,4 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 def _pose(T: Array) -> list[str]:
-    return [f"{x:.9f}" for x in (*T[:3, 3], *se3.quaternion_from_rotation(T[:3, :3]))]
+    return [f"{x:.9f}" for part in se3.position_quaternion(T).values() for x in part]

@@ -5,6 +5,7 @@ field has the name of that part's attribute. Lengths are in metres, angles in de
 one standard deviation per axis.
 """
 
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 from types import NoneType
@@ -18,7 +19,8 @@ from handsight import checks, se3
 from handsight.camera import check_lens
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
-from handsight.contact.fingertips import LARGEST
+from handsight.contact.calibration import GRAVITY_RANGE
+from handsight.contact.fingertips import LARGEST, MIN_FORCE
 from handsight.contact.gels import block_of
 from handsight.contact.taxels import TactileSurface
 from handsight.errors import HandsightError, InvalidInput
@@ -26,7 +28,8 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import alternatives
 from handsight.objects import ObjectSpec
 from handsight.rig import layouts
-from handsight.rig.rig import DepthCamera, Finger, MountedCamera, message_steps
+from handsight.rig.rig import GRAVITY, DepthCamera, Finger, JointReading, MountedCamera, message_steps
+from handsight.rig.taxel_table import UNITS
 
 VERSION = 1
 Values = dict[str, Any]
@@ -38,7 +41,7 @@ def key(comment: str = "", *, metres: float = 0.0, kilograms: float = 0.0) -> Me
 
 
 class Key(NamedTuple):
-    """A `Key` is one key of a form, as it was declared."""
+    """One key of a form, as it was declared."""
 
     name: str
     """The name of the form's field."""
@@ -65,7 +68,7 @@ def keys(form: type["Form"]) -> tuple[Key, ...]:
 
 
 class Form(msgspec.Struct, forbid_unknown_fields=True):
-    """A `Form` is one mapping of the file, which is written in one line."""
+    """One mapping of the file, which is written in one line."""
 
     def __post_init__(self) -> None:
         for each in keys(type(self)):
@@ -92,7 +95,7 @@ class Form(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Section(Form):
-    """A `Section` is a form of which each key has a line of its own."""
+    """Form of which each key has a line of its own."""
 
 
 Positive = Annotated[float, Meta(gt=0)]
@@ -119,7 +122,7 @@ class PoseForm(Form):
 
 
 class LinkPoseForm(PoseForm):
-    """A `LinkPoseForm` is a pose on a link of a finger."""
+    """Pose on a link of a finger."""
 
     position: Annotated[Vector, key(metres=0.5)] = (0.0, 0.0, 0.0)
 
@@ -131,26 +134,45 @@ class HandForm(Section):
         name="joint_offset_deg", default=None
     )
     sigma_joint: Angle | None = field(name="joint_noise_deg", default=None)
+    sigma_coupled: Annotated[Angle | None, key("of joints that follow others, not measured")] = field(
+        name="coupled_joint_deg", default=None
+    )
+    joint_names: Annotated[
+        dict[str, Text] | None, key("{prefix: of messages}, {without: that they lack}, or theirs: the file's")
+    ] = field(name="joints", default=None)
+
+    def names(self, joints: Collection[str]) -> dict[str, str]:
+        """Returns by the name of a joint in messages that in the hand's file, which has these joints; raises
+        ValueError."""
+        given = dict(self.joint_names or {})
+        prefix, without = given.pop("prefix", ""), given.pop("without", "")
+        lacking = {name: name.removeprefix(without) for name in joints}
+        names = {prefix + lacking[name]: name for name in joints}
+        for name, known in given.items():
+            if known not in joints:
+                raise ValueError(
+                    f"{name}: expected a joint of the hand's file, got {known!r}{checks.suggestion(known, joints)}"
+                )
+        return {name: known for name, known in (names | given).items() if name != known}
 
 
 class TipForm(Form):
-    """A `TipForm` is the shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
+    """Shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
 
     ellipsoid: Vector | None = None
     sphere: float | None = None
-    min_force: Positive = 0.1
+    min_force: Positive = MIN_FORCE
     cap: float | None = None
     max_friction: Positive | None = None
 
     def __post_init__(self) -> None:
-        shapes = [shape for shape in ("ellipsoid", "sphere") if getattr(self, shape) is not None]
-        if len(shapes) != 1:
-            came = " and ".join(shapes) or "neither"
+        if (self.ellipsoid is None) == (self.sphere is None):
+            came = "neither" if self.sphere is None else "both"
             raise ValueError(f"expected ellipsoid: [a, b, c] or sphere: r, got {came}")
         try:
             self.shape(np.eye(4))
         except HandsightError as error:
-            raise ValueError(f"{shapes[0]}: {error}") from None
+            raise ValueError(f"{'ellipsoid' if self.ellipsoid else 'sphere'}: {error}") from None
 
     def shape(self, T_surface_sensor: Array) -> Fingertip:
         """Returns the tip; raises a HandsightError for a size that no tip has."""
@@ -171,8 +193,8 @@ class BiasForm(Form):
     torque: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in ("force", "torque"):
-            checks.load(getattr(self, name), name, (3,))
+        checks.load(self.force, "force", (3,))
+        checks.load(self.torque, "torque", (3,))
 
 
 class SensorForm(Section, kw_only=True):
@@ -209,8 +231,10 @@ class FingerForm(Section, kw_only=True):
         """Returns the part of the rig."""
         sensor = self.sensor or SensorForm(reading="on_tip")
         T_frame_surface = (self.surface or LinkPoseForm()).matrix()
-        T_surface_sensor, bias = (sensor.pose or LinkPoseForm()).matrix(), sensor.bias or BiasForm()
-        biases, center = (np.array(bias.force), np.array(bias.torque)), np.array(sensor.tip_center)
+        T_surface_sensor = (sensor.pose or LinkPoseForm()).matrix()
+        bias = sensor.bias or BiasForm()
+        biases = (np.array(bias.force), np.array(bias.torque))
+        center = np.array(sensor.tip_center)
         calibration = WrenchCalibration(*biases, sensor.tip_mass, center, reading=sensor.reading)
         return Finger(
             frame=self.frame,
@@ -225,7 +249,7 @@ class FingerForm(Section, kw_only=True):
 
 
 class SkinForm(Form, kw_only=True):
-    """A `SkinForm` is a tactile surface, whose places are those of a grid, a table, a file, a URDF or a product."""
+    """Tactile surface, whose places are those of a grid, a table, a file, a URDF or a product."""
 
     frame: Text | None = None
     pose: LinkPoseForm | None = None
@@ -242,7 +266,7 @@ class SkinForm(Form, kw_only=True):
     radius: Annotated[Positive | None, key(metres=0.5)] = None
     taxels: list[list[float]] | None = None
     file: Text | None = None
-    unit: Literal["m", "mm"] = "m"
+    unit: Literal["m", "mm"] | None = None
     urdf: Text | None = None
     layout: Text | None = None
     image: Annotated[tuple[int, int] | None, key("rows and columns of a gel's pixels")] = None
@@ -257,6 +281,8 @@ class SkinForm(Form, kw_only=True):
     sigma_point: Annotated[Positive | None, key(metres=LARGEST)] = None
     sigma_normal: Annotated[float, Meta(gt=0, le=180)] | None = field(name="sigma_normal_deg", default=None)
     sigma_mount: Annotated[Positive | None, key(metres=LARGEST)] = None
+    stiffness: Annotated[Positive | None, key("of the skin, pressure by depth [N/m^3]")] = None
+    sigma_stiffness: Annotated[Positive | None, key("without it, half of the stiffness")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -267,13 +293,19 @@ class SkinForm(Form, kw_only=True):
         places = "rows", "taxels", "file", "urdf", "layout"
         kinds = [name for name in places if getattr(self, name) is not None]
         if len(kinds) != 1:
-            expected = "expected one of rows (with columns, pitch), taxels, file, urdf, layout"
-            raise ValueError(f"{expected}, got {' and '.join(kinds) or 'none'}")
+            raise ValueError(
+                "expected one of rows (with columns, pitch), taxels, file, urdf, layout, got "
+                f"{' and '.join(kinds) or 'none'}"
+            )
         if self.frame is None and self.urdf is None:
             raise ValueError("frame: expected the link that the taxels are on, got none")
         for name, kind in (("image", "gel"), ("channels", "binary")):
             if getattr(self, name) is not None and self.kind != kind:
                 raise ValueError(f"{name}: expected beside kind: {kind} only, got {self.kind or 'taxels'}")
+        if self.stiffness is not None and self.kind in ("gel", "binary"):
+            raise ValueError(f"stiffness: expected beside kind: taxels only, got {self.kind}")
+        if self.sigma_stiffness is not None and self.stiffness is None:
+            raise ValueError("sigma_stiffness: expected beside stiffness, got no stiffness")
         if self.rows is not None:
             self.surface(Path(), None)
 
@@ -281,18 +313,20 @@ class SkinForm(Form, kw_only=True):
         """Returns the part of the rig; raises InvalidInput. A file's path begins at the folder."""
         given = self.given()
         places = {name: given.pop(name, None) for name in PLACES}
-        unit = 1e-3 if self.unit == "mm" else 1.0
         if self.rows is not None:
-            rows, columns = self.rows, places["columns"]
+            rows = self.rows
+            columns = places["columns"]
             if self.kind == "gel":
-                given["image"], block = (rows, columns), block_of(rows, columns)
+                given["image"] = (rows, columns)
+                block = block_of(rows, columns)
                 given["pitch"] = block * checks.positive(self.pitch or 0.0, "pitch")
-                rows, columns = rows // block, columns // block
+                rows = rows // block
+                columns = columns // block
             found = layouts.Layout.bent(rows, columns, given.get("pitch"), self.radius)
         elif self.taxels is not None:
-            found = layouts.Layout.of(self.taxels, "taxels", unit)
+            found = layouts.Layout.of(self.taxels, "taxels", UNITS[self.unit or "m"])
         elif self.file is not None:
-            found = layouts.from_file(self.file, folder, unit)
+            found = layouts.from_file(self.file, folder, self.unit)
         elif self.urdf is not None and hand is not None:
             found = layouts.from_urdf(self.urdf, hand)
         else:
@@ -313,12 +347,18 @@ class VisionNoiseForm(Form):
     sigma_rotation: Angle | None = field(name="rotation_deg", default=None)
 
 
+class ImageNoiseForm(VisionNoiseForm):
+    sigma_ray: Annotated[AtLeastZero | None, key("position along the ray from the camera", metres=5)] = field(
+        name="along_ray", default=None
+    )
+
+
 CAMERA_ERRORS = {"noise": "", "constant_error": "_constant", "correlated_error": "_correlated"}
 """Keys of a camera's errors, and the ends of the names of their sigmas in the rig."""
 
 
 class IntrinsicsForm(Form):
-    """An `IntrinsicsForm` is a camera matrix and the size of the images [pixels]."""
+    """Camera matrix and the size of the images [pixels]."""
 
     width: Pixels
     height: Pixels
@@ -331,7 +371,7 @@ class IntrinsicsForm(Form):
 class CameraForm(Section):
     fixed_to: Annotated[Literal["world", "palm"], key("world or palm")] = "world"
     pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
-    noise: Annotated[VisionNoiseForm | None, key("of a detected pose, independent in each image")] = None
+    noise: Annotated[ImageNoiseForm | None, key("of a detected pose, independent in each image")] = None
     constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
     correlated_error: Annotated[VisionNoiseForm | None, key("that images of nearly the same time share")] = (
         None
@@ -353,7 +393,8 @@ class CameraForm(Section):
 
     def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
-        given, k = self.given(), self.intrinsics
+        given = self.given()
+        k = self.intrinsics
         pose = given.pop("pose", None) or PoseForm()
         given |= {"on": given.pop("fixed_to"), "T_mount_camera": pose.matrix()}
         if k is not None:
@@ -375,12 +416,13 @@ class WorldForm(Section):
     palm_from: Annotated[
         Literal["tf", "joints", "nowhere"], key("tf, joints (the hand's file has the arm in it), nowhere")
     ] = "tf"
-    gravity: Vector = (0.0, 0.0, -9.81)
+    gravity: Vector = GRAVITY
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.gravity))
-        if not 1.5 <= length <= 30:
-            raise ValueError(f"gravity: expected a vector of 1.5 to 30 m/s², got length {length:.3g}")
+        least, most = GRAVITY_RANGE
+        if not least <= length <= most:
+            raise ValueError(f"gravity: expected a vector of {least} to {most} m/s², got length {length:.3g}")
 
 
 class FramesForm(Section):
@@ -389,8 +431,36 @@ class FramesForm(Section):
     camera: Text = "camera"
 
 
+class JointStatesForm(Form):
+    """Topic of the joint states of a driver that publishes them otherwise than as a JointState in radians."""
+
+    topic: Text = "/joint_states"
+    message_field: Text | None = field(name="field", default=None)
+    names: list[Text | None] | None = None
+    scale: float | list[float] | None = None
+    offset: float | list[float] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            self.reading()
+        except InvalidInput as error:
+            raise ValueError(str(error)) from None
+
+    def reading(self) -> JointReading:
+        """Returns the part of the rig; raises InvalidInput."""
+        given = self.given()
+        given["field"] = given.pop("message_field", "")
+        del given["topic"]
+        values: Values = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
+        return JointReading(**values)
+
+
 class TopicsForm(Section):
-    joint_states: Text | None = None
+    joint_states: Annotated[
+        Text | JointStatesForm | None,
+        key("JointState; or {topic, field, names, scale, offset} of another driver"),
+    ] = None
     vision: Text | None = None
     tf: Text | None = None
     color: Text | None = None
@@ -401,6 +471,9 @@ class TopicsForm(Section):
     truth: Annotated[Text | None, key("PoseStamped in the palm (frames.palm), only ever compared with")] = (
         None
     )
+    messages: Annotated[
+        list[Text] | None, key("folders PACKAGE/msg of .msg files, of types that come without a definition")
+    ] = None
     wrenches: dict[str, Text] | None = None
     contacts: dict[str, Text] | None = None
     skin: dict[str, Text] | None = None
@@ -412,8 +485,8 @@ class CylinderForm(Form):
 
 
 class ShapeForm(Form):
-    """A `ShapeForm` is the shape of an object: its sides, a cylinder, a mesh (a path from the form's file on), or that
-    of a name in the object library."""
+    """Shape of an object: its sides, a cylinder, a mesh (a path from the form's file on), or that of a name in the
+    object library."""
 
     box: Annotated[tuple[Positive, Positive, Positive] | None, key(metres=5)] = None
     cylinder: CylinderForm | None = None
@@ -441,7 +514,7 @@ class ShapeForm(Form):
 
 
 class ObjectForm(ShapeForm):
-    """An `ObjectForm` is an object of a rig: its shape, its weight and its friction."""
+    """Object of a rig: its shape, its weight and its friction."""
 
     symmetries: Literal["find"] | None = None
     mass: Annotated[Positive | None, key(kilograms=100)] = None

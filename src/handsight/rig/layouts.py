@@ -1,12 +1,13 @@
 """Where the taxels of a surface are: in a table, in a file, on a sensor of a URDF, or by the name of a product."""
 
-import csv
 import json
+import math
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from handsight import checks, se3
@@ -18,26 +19,30 @@ from handsight.errors import InvalidInput
 from handsight.files import read_bytes
 from handsight.hand import Hand, LinkMesh, find_file
 from handsight.hand.robot_xml import Element, read_xml
+from handsight.rig.taxel_table import LARGEST, extent, in_metres, read_table
+from handsight.rig.yaml_file import YamlFile
 
-PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
-    "xela:fingertip": (6, 5, 0.0047, 0.012, 3),
-    "xela:phalanx": (4, 4, 0.0047, None, 3),
-    "xela:palm": (6, 4, 0.0047, None, 3),
-    "inspire:tip": (3, 3, None, None, 1),
-    "inspire:nail": (12, 8, None, None, 1),
-    "inspire:pad": (10, 8, None, None, 1),
-    "inspire:palm": (8, 14, None, None, 1),
-}
-"""Rows, columns, pitch [m], radius about the finger [m] and components of products without published coordinates. A
-pitch that is not published must be in the rig; the radius of a curved one is an assumption."""
+LAYOUTS = Path(__file__).parents[1] / "data/layouts"
+"""A YAML file for each product without published coordinates: `MAKER-VARIANT.yaml`."""
+ASSUMED_PITCH = 0.002
+"""From taxel to taxel where nobody has measured it yet [m]."""
 KINDS = {each.kind: each for each in (TactileSurface, Gel, Pad)}
-ON_LINK, FAR_OFF, INWARD = 0.005, 0.015, -0.3
-"""Farthest distance of a taxel from its link's mesh, where that gives its normal; where it has one [m]; and the cosine
-between taxels' normals and the mesh's below which they point into it."""
+
+
+class Product(msgspec.Struct, forbid_unknown_fields=True):
+    """Grid of taxels whose maker publishes counts alone."""
+
+    rows: int
+    columns: int
+    components: int
+    pitch: float | None = None
+    """From taxel to taxel [m]; None: not published, so the rig must state it."""
+    radius: float | None = None
+    """About the finger [m], an assumption; None: flat."""
 
 
 class Layout(NamedTuple):
-    """A `Layout` has the places of taxels in the axes of their sensor."""
+    """Places of taxels in the axes of their sensor."""
 
     points: Array
     """(n, 3) [m]"""
@@ -56,14 +61,16 @@ class Layout(NamedTuple):
     @classmethod
     def of(cls, rows: Any, name: str, unit: float = 1.0, **fields: Any) -> "Layout":
         """Returns the layout of a table: x, y, z of each taxel, then its normal, then its x; raises InvalidInput."""
-        numbers = [len(row) if isinstance(row, list) else 0 for row in rows] if isinstance(rows, list) else []
-        wrong = [k for k, count in enumerate(numbers) if count not in (3, 6, 9) or count != numbers[0]]
-        if not numbers or wrong:
-            came = f"{numbers[wrong[0]]} in row {wrong[0] + 1}" if wrong else "none"
-            raise InvalidInput(f"{name}: expected 3, 6 or 9 numbers for each taxel, got {came}")
-        table = checks.finite(rows, name, (len(rows), numbers[0]))
-        parts: Any = [table[:, k : k + 3] for k in range(3, numbers[0], 3)]
-        return cls(unit * table[:, :3], *parts, **fields)
+        try:
+            table = checks.finite(rows, name, (None, None))
+        except InvalidInput:
+            table = np.zeros((0, 0))
+        if table.shape[1] not in (3, 6, 9) or not len(table):
+            raise InvalidInput(
+                f"{name}: expected 3, 6 or 9 finite numbers for each taxel, got {checks.brief(rows)}"
+            )
+        parts: Any = np.split(table, table.shape[1] // 3, axis=1)
+        return cls(unit * parts[0], *parts[1:], **fields)
 
     @classmethod
     def bent(cls, rows: Any, columns: Any, pitch: Any, radius: float | None, components: int = 1) -> "Layout":
@@ -72,12 +79,13 @@ class Layout(NamedTuple):
         if radius is None:
             flat = [np.tile(np.eye(3)[k], (len(places), 1)) for k in (2, 0)]
             return cls(places, flat[0], flat[1], components, (rows, columns))
-        angle, zero = places[:, 0] / radius, np.zeros(len(places))
-        sine, cosine = np.sin(angle), np.cos(angle)
-        if columns * pitch > 6.3 * radius:
+        if columns * pitch > 2 * np.pi * radius:
             raise InvalidInput(f"radius: expected one that {columns} columns fit around, got {radius:g}")
-        points = np.column_stack([radius * sine, places[:, 1], radius * (cosine - 1)])
-        normals, x_axes = np.column_stack([sine, zero, cosine]), np.column_stack([cosine, zero, -sine])
+        angle = places[:, 0] / radius
+        zero = np.zeros(len(places))
+        normals = np.column_stack([np.sin(angle), zero, np.cos(angle)])
+        x_axes = np.column_stack([np.cos(angle), zero, -np.sin(angle)])
+        points = radius * (normals - [0, 0, 1]) + [0, 1, 0] * places
         return cls(points, normals, x_axes, components)
 
     def surface(
@@ -91,14 +99,14 @@ class Layout(NamedTuple):
             frame: Any = fields["frame"]
             mesh = None if hand is None else hand.link_meshes().get(frame)
             if mesh is None:
-                expected = f"expected three more numbers for each taxel, as {frame!r} has no mesh"
-                raise InvalidInput(f"normals: {expected}, got none")
-            fields["normals"], distance = _nearest(mesh, points)
-            if not distance.max() <= ON_LINK:
-                of = f"the mesh of {frame!r}, which gives their normals"
-                expected = f"expected taxels within {1e3 * ON_LINK:g} mm of {of}"
                 raise InvalidInput(
-                    f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm"
+                    f"normals: expected three more numbers for each taxel, as {frame!r} has no mesh, got none"
+                )
+            fields["normals"], distance = _nearest(mesh, points)
+            if not distance.max() <= 0.005:
+                raise InvalidInput(
+                    f"points[{distance.argmax()}]: expected taxels within 5 mm of the mesh of {frame!r}, which gives "
+                    f"their normals, got {1000 * distance.max():.3g} mm"
                 )
         else:
             fields["normals"] = self.normals @ T[:3, :3].T
@@ -109,63 +117,111 @@ class Layout(NamedTuple):
         return KINDS[kind](points=points, **fields)
 
 
-def from_file(name: str, folder: Path, unit: float) -> Layout:
-    """Returns the layout of a file: CSV, with or without a line of names, or JSON, a list of rows or of `points`.
+def from_file(name: str, folder: Path, unit: str | None) -> Layout:
+    """Returns the layout of a file, as `taxel_table` reads it; raises InvalidInput.
 
-    `unit`: of the file [m]. Raises InvalidInput.
+    `unit`: of its positions, `m` or `mm`; None: what its columns say, else metres.
     """
     path = find_file(name, folder)
     try:
-        text = read_bytes(path, 1 << 20, path.name).decode("utf-8-sig")
-        if path.suffix.lower() == ".json":
-            value = json.loads(text)
-            rows = value.get("points", value.get("taxels")) if isinstance(value, dict) else value
-        else:
-            lines = [line for line in csv.reader(text.splitlines()) if line]
-            named = bool(lines) and not lines[0][0].strip().lstrip("+-.")[:1].isdigit()
-            rows = [[float(cell) for cell in line] for line in lines[named:]]
-    except (ValueError, RecursionError, csv.Error) as error:
-        expected = f"expected numbers in CSV or JSON, got other text ({error})"
-        raise InvalidInput(f"file: {path.name}: {expected}") from None
-    return Layout.of(rows, f"file: {path.name}", unit)
+        table = read_table(path)
+    except InvalidInput as error:
+        raise InvalidInput(f"file: {error}") from None
+    return Layout.of(in_metres(table, unit, path.name), f"file: {path.name}")
+
+
+class Places(NamedTuple):
+    """What a rig says of where taxels are, and how many these are."""
+
+    keys: dict[str, Any]
+    taxels: int
+    components: int
+
+
+def known_places() -> list[Places]:
+    """Returns those of each product that is known here."""
+    found = list[Places]()
+    for path in sorted(LAYOUTS.glob("*.yaml")):
+        product = YamlFile(path).read(Product)
+        keys: dict[str, Any] = {"layout": path.stem.replace("-", ":", 1)}
+        if product.pitch is None:
+            keys["pitch"] = ASSUMED_PITCH
+        found.append(Places(keys, product.rows * product.columns, product.components))
+    for name, table in _paxini().items():
+        found.append(Places({"layout": f"paxini:{name}"}, len(table["points"]), 3))
+    return found
+
+
+def said_places(said: str, folder: Path) -> tuple[list[Places], list[str]]:
+    """Returns what a user says of a sensor's taxels, their number or the file of their places, and what was guessed.
+
+    The components are not known: both are returned. Raises InvalidInput.
+    """
+    if said.isdigit():
+        count = checks.integer(int(said), "--taxels", MOST_TAXELS, 1)
+        columns = max(each for each in range(1, math.isqrt(count) + 1) if count % each == 0)
+        rows = count // columns
+        keys: dict[str, Any] = {"rows": rows, "columns": columns, "pitch": ASSUMED_PITCH}
+        apart = f"{1000 * ASSUMED_PITCH:g} mm apart"
+        guessed = [f"{said} taxels: {rows} rows of {columns}, {apart}: measure them"]
+        return [Places(keys, count, components) for components in (1, 3)], guessed
+    table = read_table(find_file(said, folder))
+    keys = {"file": said}
+    guessed = []
+    if table.unit is None and extent(table) > LARGEST:
+        keys["unit"] = "mm"
+        guessed.append(f"{said}: millimetres, as it reaches over {extent(table):g} and states no unit")
+    return [Places(keys, len(table.rows), components) for components in (1, 3)], guessed
+
+
+def _paxini() -> dict[str, Any]:
+    """Returns PaXini's tables by part number and by model, as the package `paxini-sdk` has them; none without it."""
+    spec = find_spec("paxini_sdk")
+    known: dict[str, Any] = {}
+    if spec is None or spec.origin is None:
+        return known
+    for path in sorted((Path(spec.origin).parent / "data").glob("*_points.json")):
+        value = json.loads(read_bytes(path, 1 << 20, path.name))
+        names = value["vendor_part_code"], value["sensor_model"].split("GEN3-")[-1]
+        known |= dict.fromkeys(names, value)
+    return known
 
 
 def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
-    """Returns the layout of a product, `paxini:VARIANT` or one of `PRODUCTS`; raises InvalidInput.
+    """Returns the layout of a product, `paxini:VARIANT` or one in `LAYOUTS`; raises InvalidInput.
 
     Coordinates of PaXini's are read from the installed package `paxini-sdk`, without importing it; their normals are
     those of planes through the nearest taxels. The others are nominal: their maker states counts and pitch alone.
     """
     maker, _, variant = name.partition(":")
     if maker == "paxini":
-        spec = find_spec("paxini_sdk")
-        if spec is None or spec.origin is None:
+        from scipy.spatial import cKDTree  # its import is long
+
+        from handsight.objects.scans.normals import outwards, planes
+
+        known = _paxini()
+        if not known:
             raise InvalidInput("layout: expected the package paxini-sdk (pip install paxini-sdk), got none")
-        known: dict[str, Any] = {}
-        for path in sorted((Path(spec.origin).parent / "data").glob("*_points.json")):
-            value = json.loads(read_bytes(path, 1 << 20, path.name))
-            names = value["vendor_part_code"], value["sensor_model"].split("GEN3-")[-1]
-            known |= dict.fromkeys(names, value)
         if variant not in known:
             raise InvalidInput(f"layout: unknown variant {variant!r}{checks.suggestion(variant, known)}")
         places = [[each[f"{axis}_mm"] for axis in "xyz"] for each in known[variant]["points"]]
         points = 1e-3 * np.array(places)
-        near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
-        arms = points[near] - points[near].mean(axis=1, keepdims=True)
-        normals = np.linalg.svd(arms)[2][:, 2]
-        # They point away from the centre of a sphere that is fitted to all points.
-        sphere = np.column_stack([2 * points, np.ones(len(points))])
-        center = np.linalg.lstsq(sphere, (points**2).sum(axis=1), rcond=None)[0][:3]
-        outward = np.sign((normals * (points - center)).sum(axis=1))
-        return Layout(points, normals * outward[:, None], components=3)
-    if name not in PRODUCTS:
-        hint = checks.suggestion(name, [*PRODUCTS, "paxini:VARIANT"])
-        raise InvalidInput(f"layout: unknown layout {name!r}{hint}")
-    rows, columns, usual_pitch, usual_radius, components = PRODUCTS[name]
-    if (pitch := pitch or usual_pitch) is None:
-        expected = f"expected the distance of {name}'s taxels [m], as it is not published"
-        raise InvalidInput(f"pitch: {expected}, got none")
-    return Layout.bent(rows, columns, pitch, radius or usual_radius, components)._replace(nominal=True)
+        normals = outwards(points, planes(points, points, 7), cKDTree(points))
+        return Layout(points, normals, components=3)
+    files = {path.stem.replace("-", ":", 1): path for path in sorted(LAYOUTS.glob("*.yaml"))}
+    if name not in files:
+        raise InvalidInput(
+            f"layout: unknown layout {name!r}{checks.suggestion(name, [*files, 'paxini:VARIANT'])}"
+        )
+    product = YamlFile(files[name]).read(Product)
+    pitch = pitch or product.pitch
+    if pitch is None:
+        raise InvalidInput(
+            f"pitch: expected the distance of {name}'s taxels [m], as it is not published, got none"
+        )
+    radius = radius or product.radius
+    bent = Layout.bent(product.rows, product.columns, pitch, radius, product.components)
+    return bent._replace(nominal=True)
 
 
 def tactile_sensors(file: str | Path) -> dict[str, tuple[Element, Element]]:
@@ -182,11 +238,10 @@ def from_urdf(name: str, hand: Hand) -> Layout:
     found = tactile_sensors(hand.file)
     if name not in found:
         raise InvalidInput(f"urdf: unknown tactile sensor {name!r}{checks.suggestion(name, found)}")
-    (sensor, tactile), parent = found[name], found[name][0].find("parent")
+    sensor, tactile = found[name]
+    parent = sensor.find("parent")
     array = tactile.find("array")
     taxels = sorted(tactile.all("taxel"), key=lambda each: _numbers(each, "idx", 1)[0])
-    T = _origin(sensor.find("origin"))
-    fields: Any = {"frame": "" if parent is None else parent.get("link"), "T_frame_sensor": T}
     if not taxels and array is not None:
         rows, columns = (int(_numbers(array, key, 1)[0]) for key in ("rows", "cols"))
         step = _numbers(array, "spacing" if array.get("spacing") else "size", 2)
@@ -194,15 +249,21 @@ def from_urdf(name: str, hand: Hand) -> Layout:
             raise InvalidInput(f"urdf: {name}: expected 1 to {MOST_TAXELS} taxels, got {rows} x {columns}")
         by_column = array.get("order").startswith("col")
         down, along = np.indices((rows, columns)).reshape(2, -1, order="F" if by_column else "C")
+        offset = _numbers(array, "offset", 2) if array.get("offset") else 0.0
         Ts = np.tile(np.eye(4), (rows * columns, 1, 1))
-        Ts[:, :2, 3] = np.stack([along, down], axis=1) * step
-        Ts[:, :2, 3] += _numbers(array, "offset", 2) if array.get("offset") else 0.0
+        Ts[:, :2, 3] = np.stack([along, down], axis=1) * step + offset
     elif [_numbers(each, "idx", 1)[0] for each in taxels] == list(range(len(taxels))) and taxels:
         Ts = np.array([_origin(each) for each in taxels])
     else:
         numbers = ", ".join(each.get("idx") for each in taxels) or "none"
         raise InvalidInput(f"urdf: {name}: expected an array, or taxels with idx 0, 1, ..., got {numbers}")
-    return Layout(Ts[:, :3, 3], Ts[:, :3, 2], Ts[:, :3, 0], **fields)
+    return Layout(
+        Ts[:, :3, 3],
+        normals=Ts[:, :3, 2],
+        x_axes=Ts[:, :3, 0],
+        frame="" if parent is None else parent.get("link"),
+        T_frame_sensor=_origin(sensor.find("origin")),
+    )
 
 
 def _origin(element: Element | None) -> Array:
@@ -225,18 +286,22 @@ def _numbers(element: Element, key: str, count: int) -> Array:
 
 def misplaced(surfaces: Mapping[str, TactileSurface], hand: Hand) -> dict[str, str]:
     """Returns by surface what is wrong with its place on the mesh of its link, as far as that has one."""
-    meshes, found = hand.link_meshes(), {}
+    meshes = hand.link_meshes()
+    found = {}
     for name, surface in surfaces.items():
-        if surface.frame in meshes:
-            normals, distance = _nearest(meshes[surface.frame], surface.points)
-            most, of = 1e3 * distance.max(), f"the mesh of {surface.frame!r}"
-            if np.median((normals * surface.normals).sum(axis=1)) < INWARD:
-                expected = f"expected normals that point out of {of}"
-                found[name] = f"{expected}, got into it: turn its pose, or negate them"
-            elif most > 1e3 * FAR_OFF:
-                expected = f"expected taxels within {1e3 * FAR_OFF:g} mm of {of}"
-                came = f"taxel {distance.argmax()} {most:.3g} mm off"
-                found[name] = f"{expected}, got {came}: is its pose right?"
+        if surface.frame not in meshes:
+            continue
+        normals, distance = _nearest(meshes[surface.frame], surface.points)
+        if np.median((normals * surface.normals).sum(axis=1)) < -0.3:
+            found[name] = (
+                f"expected normals that point out of the mesh of {surface.frame!r}, got into it: turn its pose, or "
+                "negate them"
+            )
+        elif distance.max() > 0.015:
+            found[name] = (
+                f"expected taxels within 15 mm of the mesh of {surface.frame!r}, got taxel {distance.argmax()} "
+                f"{1000 * distance.max():.3g} mm off: is its pose right?"
+            )
     return found
 
 

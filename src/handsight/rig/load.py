@@ -1,5 +1,6 @@
 """A rig from a `rig.yaml`, whose keys `handsight.rig.form` declares; unknown keys are errors."""
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingE
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.msgspec_errors import FieldPath
-from handsight.rig.form import VERSION, FramesForm, RigForm, SkinForm, WorldForm, keys
+from handsight.rig.form import VERSION, FramesForm, JointStatesForm, RigForm, SkinForm, WorldForm, keys
 from handsight.rig.rig import NotUnique, Rig, Table, Topics
 from handsight.rig.yaml_file import YamlFile
 
@@ -24,7 +25,13 @@ def load(path: Path) -> Rig:
     form = file.read(RigForm)
     world = form.world or WorldForm()
     hand = _hand(form, file)
+    try:
+        joint_names = form.hand.names(hand.joint_names)
+    except ValueError as error:
+        argument, _, message = str(error).partition(": ")
+        raise file.error(("hand", "joints", argument), message) from None
     skin = {name: _surface(name, each, file, hand) for name, each in (form.skin or {}).items()}
+    _check_joints(form, file, hand.joint_names, joint_names)
     try:
         return Rig(
             hand=hand,
@@ -37,10 +44,25 @@ def load(path: Path) -> Rig:
             topics=_topics(form, file),
             objects={name: entry.entry(path.parent) for name, entry in (form.objects or {}).items()},
             skin=skin,
+            joint_names=joint_names,
             **form.hand.sigmas(),
         )
     except NotUnique as error:
-        raise file.error(error.field, error.message) from None
+        raise file.error(error.path, error.message) from None
+
+
+def _check_joints(
+    form: RigForm, file: YamlFile, joints: Collection[str], joint_names: Mapping[str, str]
+) -> None:
+    """Raises InvalidFile where the names of a driver's numbers are of no joint of the hand's file."""
+    states = None if form.topics is None else form.topics.joint_states
+    if not isinstance(states, JointStatesForm):
+        return
+    for i, name in enumerate(states.names or ()):
+        if name is not None and joint_names.get(name, name) not in joints:
+            expected = "expected a joint of the hand's file, or null for a number that is of none"
+            message = f"{expected}, got {name!r}{checks.suggestion(name, joints)}"
+            raise file.error(("topics", "joint_states", "names", i), message)
 
 
 def _surface(name: str, form: SkinForm, file: YamlFile, hand: Hand) -> TactileSurface:
@@ -58,7 +80,8 @@ def _surface(name: str, form: SkinForm, file: YamlFile, hand: Hand) -> TactileSu
 
 def _hand(form: RigForm, file: YamlFile) -> Hand:
     """Returns the hand; an error of its file is about the key that names the file, or the body that it lacks."""
-    name, tips = form.hand.file, {finger: values.frame for finger, values in form.fingers.items()}
+    name = form.hand.file
+    tips = {finger: values.frame for finger, values in form.fingers.items()}
     try:
         found = find_file(name, beside=file.path.parent)
         hand = Hand.from_file(found, palm=form.hand.palm, tips=tips)
@@ -82,6 +105,15 @@ def _hand(form: RigForm, file: YamlFile) -> Hand:
 def _topics(form: RigForm, file: YamlFile) -> Topics:
     """Returns the topics of the file, with the usual names of wrenches and skins that it leaves out."""
     given = {} if form.topics is None else form.topics.given()
+    states = given.get("joint_states")
+    if isinstance(states, JointStatesForm):
+        given |= {"joint_states": states.topic, "joint_reading": states.reading()}
+    folders = [file.path.parent / folder for folder in given.get("messages", ())]
+    for i, folder in enumerate(folders):
+        if not any(folder.glob("*.msg")):
+            came = f"{checks.brief(str(folder))}, which has none"
+            raise file.error(("topics", "messages", i), f"expected a folder of .msg files, got {came}")
+    given["messages"] = tuple(str(folder.absolute()) for folder in folders)
     arrays = form.skin or {}
     for kind, what in (("wrenches", "finger"), ("contacts", "finger"), ("skin", "array of the skin")):
         known = arrays if kind == "skin" else form.fingers
@@ -94,9 +126,11 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
     for name in given.get("wrenches", ()):
         if form.fingers[name].sensor is None:
             raise file.error(("topics", "wrenches", name), f"expected a sensor in fingers.{name}, got none")
-    with_sensor = [name for name, finger in form.fingers.items() if finger.sensor is not None]
-    by_wrench = [name for name in with_sensor if name not in given.get("contacts", ())]
+    wrenches = {
+        name: f"/{name}/wrench"
+        for name, finger in form.fingers.items()
+        if finger.sensor is not None and name not in given.get("contacts", ())
+    }
     skin = {name: array.topic or f"/{name}/taxels" for name, array in arrays.items()} | given.pop("skin", {})
     paths = {name: array.message_field for name, array in arrays.items() if array.message_field is not None}
-    usual = {"wrenches": {name: f"/{name}/wrench" for name in by_wrench}}
-    return Topics(**(usual | given), skin=skin, skin_fields=paths)
+    return Topics(**({"wrenches": wrenches} | given), skin=skin, skin_fields=paths)

@@ -25,7 +25,8 @@ def write(rig: Rig, path: Path) -> None:
     Files that the rig names are written with their absolute path, or as `package://`, so that they are found from
     anywhere. Places of taxels that are on no grid are written to tables beside it, one for all links of one shape.
     """
-    tables, files = dict[str, str](), dict[str, str]()
+    tables = dict[str, str]()
+    files = dict[str, str]()
     for name, surface in rig.skin.items():
         if surface.layout is None:
             rows = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in _table(surface))
@@ -42,18 +43,40 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
     """Returns the rig as YAML; `tables`: by surface, the file of its taxels, which else are in the text."""
     document = {
         "version": form.VERSION,
-        "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
+        "hand": _hand(rig),
         "fingers": {name: _finger(f, sensed=name in rig.topics.wrenches) for name, f in rig.fingers.items()},
         "skin": {name: _surface(name, rig, (tables or {}).get(name)) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
         "frames": rig.frames,
-        "topics": _values(form.TopicsForm, rig.topics),
+        "topics": _values(
+            form.TopicsForm, rig.topics, joint_states=_joint_states(rig), messages=rig.topics.messages or None
+        ),
         "objects": {name: _object(entry) for name, entry in rig.objects.items()},
     }
     title = "# Lengths in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis."
     return "\n".join([title, *_section(document, form.RigForm)]) + "\n"
+
+
+def _hand(rig: Rig) -> Values:
+    """Returns the values of the hand."""
+    given: dict[str, object] = {"file": _file_name(rig.hand.file), "palm": rig.hand.palm}
+    given["joint_names"] = dict(rig.joint_names) or None
+    if not rig.hand.couplings.laws:
+        given["sigma_coupled"] = None
+    return _values(form.HandForm, rig, **given)
+
+
+def _joint_states(rig: Rig) -> object:
+    """Returns the topic of the joint states, with how they are read where that is not as a JointState's."""
+    topics = rig.topics
+    reading = topics.joint_reading
+    if reading is None:
+        return topics.joint_states
+    names = reading.names or None
+    field = reading.field or None
+    return _values(form.JointStatesForm, reading, topic=topics.joint_states, message_field=field, names=names)
 
 
 def pose_text(T: Array) -> str:
@@ -63,7 +86,8 @@ def pose_text(T: Array) -> str:
 
 def sensor_text(finger: Finger) -> list[str]:
     """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
-    sensor, number = _finger(finger)["sensor"], re.compile(r"\d+\.\d+(e-\d+)?")
+    sensor = _finger(finger)["sensor"]
+    number = re.compile(r"\d+\.\d+(e-\d+)?")
     lines = (f"{name}: {inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
     return [number.sub(lambda found: inline(float(f"{float(found[0]):.4g}")), line) for line in lines]
 
@@ -101,7 +125,8 @@ def _table(surface: TactileSurface) -> Array:
 
 def _finger(finger: Finger, sensed: bool = True) -> Values:
     """Returns the values of a finger; its sensor's only where it is `sensed`, or calibrated."""
-    known, tip = finger.calibration, finger.tip
+    known = finger.calibration
+    tip = finger.tip
     T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
     size = {"sphere": tip.radius} if isinstance(tip, Sphere) else {"ellipsoid": tip.semi_axes}
     sensor = _values(
@@ -126,7 +151,8 @@ def _camera(camera: MountedCamera) -> Values:
     given: Values = {"fixed_to": camera.on, "pose": se3.position_quaternion(camera.T_mount_camera)}
     for name, kind in form.CAMERA_ERRORS.items():
         sigmas = {key: getattr(camera, key + kind) for key in ("sigma_position", "sigma_rotation")}
-        given[name] = _values(form.VisionNoiseForm, camera, **sigmas)
+        errors = form.VisionNoiseForm if kind else form.ImageNoiseForm
+        given[name] = _values(errors, camera, **sigmas)
     values = _values(form.CameraForm, camera, **given, intrinsics=None, lens=None)
     if camera.intrinsics is not None and camera.size is not None:
         numbers = (*camera.size, *camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
@@ -179,6 +205,8 @@ def inline(value: object) -> str:
         return "{" + ", ".join(parts) + "}"
     if isinstance(value, str):  # YAML's double-quoted text is JSON's
         return json.dumps(value, ensure_ascii=False)
+    if value is None:
+        return "null"
     if isinstance(value, Iterable):
         return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, int):

@@ -21,19 +21,20 @@ Form = TypeVar("Form", bound=msgspec.Struct)
 
 
 class YamlFile:
-    """A `YamlFile` has the values of a YAML file and the line of each."""
+    """Values of a YAML file, and the line of each."""
 
     values: dict[str, object]
     """The mapping as Python's own types, aliases written out."""
 
-    def __init__(self, path: Path) -> None:
-        """Reads the file; raises InvalidFile where it is not a mapping of names to values, MissingExtra."""
-        with needing("rig files need ruamel.yaml", "robot"):
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        """Reads the file, or a text that is its content; raises InvalidFile where it is not a mapping of names to
+        values, MissingExtra."""
+        with needing("YAML files need ruamel.yaml", "robot"):
             from ruamel.yaml import YAML
             from ruamel.yaml.comments import CommentedMap
             from ruamel.yaml.error import MarkedYAMLError, YAMLError
         try:
-            text = read_bytes(path, MAX_BYTES).decode("utf-8")
+            text = read_bytes(path, MAX_BYTES).decode("utf-8") if text is None else text
         except UnicodeDecodeError:
             raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
         # Each value takes a comma or a line; counting these takes no time.
@@ -43,17 +44,21 @@ class YamlFile:
         try:
             marked = YAML(typ="rt", pure=True).load(text)
         except MarkedYAMLError as error:
-            mark, problem = error.problem_mark or error.context_mark, str(error.problem).splitlines()[0]
+            mark = error.problem_mark or error.context_mark
+            problem = str(error.problem).splitlines()[0]
             line = f":{mark.line + 1}" if mark is not None else ""
             raise InvalidFile(f"{path}{line}: expected YAML, got: {problem}") from None
         except (ValueError, RecursionError, YAMLError) as error:
             raise InvalidFile(f"{path}: expected YAML, got: {str(error).splitlines()[0]:.200}") from None
         except Exception:  # ruamel.yaml fails in many ways for strange tags and merges
-            message = "expected YAML, got tags, merges or aliases that stand for nothing"
-            raise InvalidFile(f"{path}: {message}") from None
+            raise InvalidFile(
+                f"{path}: expected YAML, got tags, merges or aliases that stand for nothing"
+            ) from None
         if not isinstance(marked, CommentedMap):
             raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(marked)}")
-        self.path, self._marked, self._count = path, marked, 0
+        self.path = path
+        self._marked = marked
+        self._count = 0
         try:
             self.values = self._plain(marked, ())  # type: ignore[assignment]
         except RecursionError:
@@ -63,8 +68,8 @@ class YamlFile:
         """Returns the values in a form; raises InvalidFile for the first value that the form does not allow."""
         try:
             return msgspec.convert(self.values, form)
-        except msgspec.ValidationError as error:
-            raise self.error(*explain(error, form, self.values)) from None
+        except msgspec.ValidationError:
+            raise self.error(*explain(form, self.values)) from None
 
     def error(self, field: FieldPath, message: str) -> InvalidFile:
         """Returns the error of a message about a field, with its line."""
@@ -73,7 +78,8 @@ class YamlFile:
 
     def line(self, field: FieldPath) -> int:
         """Returns the line of a field, or of the mapping that it is missing in."""
-        value, line = self._marked, 1
+        value = self._marked
+        line = 1
         for step in field:
             marks = getattr(getattr(value, "lc", None), "data", None) or {}
             try:

@@ -2,10 +2,9 @@
 
 from handsight.search.area import Area, Sweep, Touch, cast, resting, with_symmetries_of_touch
 from handsight.search.belief import Belief
-from handsight.search.story import open_text, symmetry_text, touch_text
 from handsight.search.sweep_choice import best_sweep, candidates, expected_information
 
 __all__ = [
-    "Area", "Belief", "Sweep", "Touch", "best_sweep", "candidates", "cast", "expected_information", "open_text",
-    "resting", "symmetry_text", "touch_text", "with_symmetries_of_touch",
+    "Area", "Belief", "Sweep", "Touch", "best_sweep", "candidates", "cast", "expected_information",
+    "resting", "with_symmetries_of_touch",
 ]  # fmt: skip

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_arguments, renamed_members
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
@@ -23,7 +22,7 @@ CAST_TOLERANCE = 2e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """A `Sweep` is a straight path for the middle of a fingertip, which ends where the tip meets something."""
+    """A straight path for the middle of a fingertip, which ends where the tip meets something."""
 
     start_world: Array
     """(3,) [m]."""
@@ -43,7 +42,6 @@ class Sweep:
         """Returns the point (3,) of the path at a distance from its start [m]."""
         return np.asarray(self.start_world + distance * self.direction_world)
 
-    @renamed_arguments(begin="start")
     def part(self, start: float, end: float) -> "Sweep":
         """Returns the part of the path between two distances from its start [m]."""
         return Sweep(self.at(start), self.direction_world, end - start)
@@ -51,7 +49,7 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """A `Touch` is the outcome of a sweep: where the tip met nothing, and the contact that ended it, if any."""
+    """The outcome of a sweep: where the tip met nothing, and the contact that ended it, if any."""
 
     free_world: Array
     """(m, 3) positions of the tip's middle at which it met nothing [m]."""
@@ -131,10 +129,9 @@ MAX_STABLE_POSES = 24
 SAME_STABLE_POSE = float(np.deg2rad(20.0))  # two stable poses whose tilts differ by less count as one [rad]
 
 
-@renamed_members(holds="contains", middles="center_heights", tops="top_heights")
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """An `Area` is a uniform prior over the poses of an object that stands on a table, in a rectangle, at any yaw.
+    """A uniform prior over the poses of an object that stands on a table, in a rectangle, at any yaw.
 
     A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): the position of the middle of the object's
     bounds along the table's axes, the rotation about its normal, and the side on which the object stands. The table's
@@ -160,13 +157,13 @@ class Area:
         if not isinstance(self.table, Table):
             raise InvalidInput(f"area.table: expected a Table, got {type(self.table).__name__}")
         Rs = checks.finite(self.Rs_world_object, "area.Rs_world_object", (None, 3, 3))
-        checks.integer(len(Rs), "area.Rs_world_object: rotations", MAX_STABLE_POSES)
-        for i, R in enumerate(Rs):
-            se3.check(se3.compose(R, np.zeros(3)), f"area.Rs_world_object[{i}]")
-        if not len(Rs):
-            raise InvalidInput("area.Rs_world_object: expected at least one way to stand, got none")
+        checks.integer(len(Rs), "area.Rs_world_object: rotations", MAX_STABLE_POSES, least=1)
         R_table = checks.finite(self.R_world_table, "area.R_world_table", (3, 3))
-        se3.check(se3.compose(R_table, np.zeros(3)), "area.R_world_table")
+        rotations = {f"area.Rs_world_object[{i}]": R for i, R in enumerate(Rs)} | {
+            "area.R_world_table": R_table
+        }
+        for name, R in rotations.items():
+            se3.check(se3.compose(R, np.zeros(3)), name)
         values = {"low": low, "high": high, "Rs_world_object": Rs, "R_world_table": R_table}
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -181,7 +178,6 @@ class Area:
         """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
         return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
-    @renamed_arguments(places="placements")
     def poses(self, model: ObjectModel, placements: Array) -> Array:
         """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
         vertical = np.zeros((len(placements), 3))
@@ -205,11 +201,6 @@ class Area:
         """Returns (k,) the height [m] of the bounds' middle in each stable pose, along the table's normal."""
         up = self.Rs_world_object[:, 2]
         return np.asarray(self.table.height + up @ model.center_object - (up @ model.vertices.T).min(axis=1))
-
-    def top_heights(self, model: ObjectModel) -> Array:
-        """Returns (k,) the height of the object's highest point in each stable pose, along the table's normal [m]."""
-        up = self.Rs_world_object[:, 2] @ model.vertices.T
-        return np.asarray(self.table.height + up.max(axis=1) - up.min(axis=1))
 
 
 def resting(model: ObjectModel) -> Array:

@@ -4,12 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction.modes import distinct, pose_distances
@@ -20,53 +18,36 @@ from handsight.objects.symmetry import nearest
 from handsight.rig import Table
 from handsight.search.area import Area, Touch, tip_center
 
-
-class ParticleOptions(NamedTuple):
-    """`ParticleOptions` say how the posterior is sampled."""
-
-    drawn: int = 8192  # placements that are drawn after a touch
-    kept: int = 1024  # particles that are resampled from them
-    max_log_ratio: float = 30.0  # a placement so much less likely than the best is dropped at once
-    metropolis_steps: int = 8
-    step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
-    """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
-    max_modes: int = 8
-    contact_draws: int = 2048  # placements that decide whether a contact can be one with the object
-    min_inside: int = 8  # so many of them must be within the area
-    tip_positions: int = 20_000  # random tip positions about each stable pose; those that touch it are used
-    shell: float = 0.003  # a tip within this distance of touching the surface counts as touching [m]
-    widening: float = 1.5  # factor on a contact's sigmas for placements about it: a proposal needs wide tails
+DRAWN = 8192  # placements that are drawn after a touch
+KEPT = 1024  # particles that are resampled from them
+MAX_LOG_RATIO = 30.0  # a placement so much less likely than the best is dropped at once
+METROPOLIS_STEPS = 8
+STEP = (0.004, 0.004, float(np.deg2rad(4.0)))
+"""Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
+MAX_MODES = 8
+CONTACT_DRAWS = 2048  # placements that decide whether a contact can be one with the object
+MIN_INSIDE = 8  # so many of them must be within the area
+TIP_POSITIONS = 20_000  # random tip positions about each stable pose; those that touch it are used
+SHELL = 0.003  # a tip within this distance of touching the surface counts as touching [m]
+WIDENING = 1.5  # factor on a contact's sigmas for placements about it: a proposal needs wide tails
 
 
-class LikelihoodOptions(NamedTuple):
-    """`LikelihoodOptions` are the errors of a touch in addition to its covariance."""
-
-    push: float = 0.0005
-    """How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
-    freedom: float = 5.0  # of Student's t: errors of contacts at an edge are larger than their covariance
-    other_share: float = 0.02  # of contacts that are with something else, such as the table or a cable
-    other_range: float = 0.3  # over which the distance of such a contact from the object is uniform [m]
-    min_sigma_yaw: float = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]
+PUSH = 0.0005
+"""How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
+FREEDOM = 5.0  # of Student's t: errors of contacts at an edge are larger than their covariance
+OTHER_SHARE = 0.02  # of contacts that are with something else, such as the table or a cable
+OTHER_RANGE = 0.3  # over which the distance of such a contact from the object is uniform [m]
+MIN_SIGMA_YAW = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]
 
 
-class CertaintyOptions(NamedTuple):
-    """`CertaintyOptions` say when the likeliest mode is certain enough to end a search and grasp the object."""
-
-    probability: float = 0.95  # least probability of an error of position and rotation within both limits
-    position: float = 0.008  # of the object's middle [m]
-    rotation: float = float(np.deg2rad(8.0))  # modulo the symmetries of the model [rad]
+CERTAIN_PROBABILITY = 0.95  # least probability of an error of position and rotation within both limits
+CERTAIN_POSITION = 0.008  # of the object's middle [m]
+CERTAIN_ROTATION = float(np.deg2rad(8.0))  # modulo the symmetries of the model [rad]
 
 
-PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), CertaintyOptions()
 MAX_SEED = 2**32
 
 
-@renamed_members(
-    sure="is_certain",
-    weight="probability",
-    prior="pose_world_object",
-    T_world_object="pose_world_object.T_a_b",
-)
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
@@ -75,15 +56,13 @@ class Mode:
     probability: float  # the mode's share of all particles
     certainty: float  # probability that the object is within 8 mm and 8° of its pose: the share of particles
     sigma_position: float  # standard deviation of the object's middle in the table's plane [m]
-    sigma_yaw: float  # standard deviation of the rotation about the vertical, modulo symmetry [rad]
 
     @property
     def is_certain(self) -> bool:
         """Whether the mode is so likely and so narrow that the object can be grasped there."""
-        return self.certainty > CERTAINTY.probability
+        return self.certainty > CERTAIN_PROBABILITY
 
 
-@renamed_members(places="placements")
 @dataclass(frozen=True, eq=False)
 class Belief:
     """A `Belief` is the posterior of the object's pose given all touches so far, as equally likely particles."""
@@ -105,12 +84,12 @@ class Belief:
         rng = np.random.default_rng((self.seed, len(self.touches)))
         placements, log_weights = self._draw(rng)
         probabilities = np.exp(log_weights - log_weights.max())
-        chosen = rng.choice(len(placements), PARTICLES.kept, p=probabilities / probabilities.sum())
+        chosen = rng.choice(len(placements), KEPT, p=probabilities / probabilities.sum())
         particles = placements[chosen]
         if self.touches:  # Metropolis steps separate copies of one that was resampled often
             log_posterior = self._log_posterior(particles)
-            for _ in range(PARTICLES.metropolis_steps):
-                size = np.array(PARTICLES.step) * rng.uniform(size=(len(particles), 1)) ** 2
+            for _ in range(METROPOLIS_STEPS):
+                size = np.array(STEP) * rng.uniform(size=(len(particles), 1)) ** 2
                 proposed = particles.copy()
                 proposed[:, :3] += size * rng.normal(size=(len(particles), 3))
                 proposed_log = self._log_posterior(proposed)
@@ -128,9 +107,9 @@ class Belief:
             raise InvalidInput(f"touch: expected a Touch, got {type(touch).__name__}")
         contact, rng = touch.contact_world, np.random.default_rng(self.seed)
         if contact is not None:
-            n = PARTICLES.contact_draws
+            n = CONTACT_DRAWS
             about = placements_about(self.model, self.area, contact, touch.radius, n, rng)
-            if self.area.contains(about).sum() < PARTICLES.min_inside:
+            if self.area.contains(about).sum() < MIN_INSIDE:
                 touch = replace(touch, contact_world=None)
         return replace(self, touches=(*self.touches, touch))
 
@@ -144,7 +123,7 @@ class Belief:
         """The modes of the posterior, the likeliest first."""
         model, Ts = self.model, self.Ts_world_object
         order = np.argsort(-self._log_posterior(self.placements), kind="stable")
-        chosen = distinct(model, Ts, order, PARTICLES.max_modes)
+        chosen = distinct(model, Ts, order, MAX_MODES)
         distances = []
         for i in chosen:
             shift, turn = pose_distances(model, Ts, Ts[i])
@@ -167,16 +146,16 @@ class Belief:
         model, area = self.model, self.area
         contacts = [(t.contact_world, t.radius) for t in self.touches if t.contact_world is not None]
         if not contacts:
-            placements = area.draw(PARTICLES.drawn, rng)
+            placements = area.draw(DRAWN, rng)
             return placements, free_log_likelihood(model, self.touches, area.poses(model, placements))
-        n = PARTICLES.drawn // len(contacts)
+        n = DRAWN // len(contacts)
         drawn = [placements_about(model, area, contact, radius, n, rng) for contact, radius in contacts]
         placements = np.vstack(drawn)
         Ts = area.poses(model, placements)
         by_contact = contact_log_likelihoods(model, self.touches, area.table, Ts)
         log_weight = by_contact.sum(axis=1) - np.logaddexp.reduce(by_contact, axis=1)
         log_weight[~area.contains(placements)] = -np.inf
-        likely = log_weight > log_weight.max() - PARTICLES.max_log_ratio
+        likely = log_weight > log_weight.max() - MAX_LOG_RATIO
         placements, log_weight = placements[likely], log_weight[likely]
         return placements, log_weight + free_log_likelihood(model, self.touches, Ts[likely])
 
@@ -196,16 +175,20 @@ class Belief:
         offsets = np.hstack([shifts, se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)])
         mean = offsets.mean(axis=0)
         R, middle = se3.rotation_exp(mean[3:]) @ T[:3, :3], se3.apply(T, center)[0] + mean[:3]
-        sigmas = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, LIKELIHOOD.min_sigma_yaw]
+        sigmas = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, MIN_SIGMA_YAW]
         covariance = (offsets - mean).T @ (offsets - mean) / len(offsets) + np.diag(np.square(sigmas))
         at_center = GaussianPose(se3.compose(R, middle), covariance)
         # The table's errors are independent of the touches.
         off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2)
         off2 += [table.sigma_height**2, 2 * table.sigma_tilt**2]
-        near = (off2 < np.square([CERTAINTY.position, CERTAINTY.rotation])).all(axis=1)
-        (sigma_x, sigma_y, *_, sigma_yaw), n = np.sqrt(np.diag(covariance)), len(self.placements)
-        pose, certainty = at_center.at_point(-model.center_object), float(near.sum()) / n
-        return Mode(pose, len(Ts) / n, certainty, float(np.hypot(sigma_x, sigma_y)), float(sigma_yaw))
+        near = (off2 < np.square([CERTAIN_POSITION, CERTAIN_ROTATION])).all(axis=1)
+        n = len(self.placements)
+        return Mode(
+            pose_world_object=at_center.at_point(-model.center_object),
+            probability=len(Ts) / n,
+            certainty=float(near.sum()) / n,
+            sigma_position=float(np.hypot(*np.sqrt(np.diag(covariance)[:2]))),
+        )
 
 
 def placements_about(
@@ -222,12 +205,12 @@ def placements_about(
     normal, middle = on_table.normals_palm[0], tip_center(on_table, radius)
     # Random positions relative to the object's middle, at yaw 0 and the contact's height, at which a tip touches it.
     Rs, reach = area.Rs_world_object, model.radius + radius
-    arms = rng.uniform(-reach, reach, (len(Rs), PARTICLES.tip_positions, 3))
+    arms = rng.uniform(-reach, reach, (len(Rs), TIP_POSITIONS, 3))
     arms[:, :, 2] = float(middle[2]) - area.center_heights(model)[:, None]
     arms[:, :, 2] += area.table.sigma_height * rng.normal(size=arms.shape[:2])
     values = model.evaluate((arms @ Rs).reshape(-1, 3) + model.center_object)  # Rᵀ arm
-    touching = np.abs(values.distance - radius) < PARTICLES.shell
-    stable = np.repeat(np.arange(len(Rs), dtype=np.int64), PARTICLES.tip_positions)[touching]
+    touching = np.abs(values.distance - radius) < SHELL
+    stable = np.repeat(np.arange(len(Rs), dtype=np.int64), TIP_POSITIONS)[touching]
     outward = np.einsum("nij,nj->ni", Rs[stable], values.gradient[touching])
     arms = arms.reshape(-1, 3)[touching]
     if not len(arms):
@@ -236,11 +219,11 @@ def placements_about(
     arm, out = arms[chosen], outward[chosen]
     # A normal that is nearly vertical hardly determines the yaw.
     lateral = max(float(np.hypot(*normal[:2])), 1e-3)
-    spread = PARTICLES.widening * np.sqrt(np.trace(covariance[3:, 3:]) / 2) / lateral
+    spread = WIDENING * np.sqrt(np.trace(covariance[3:, 3:]) / 2) / lateral
     yaw = np.arctan2(normal[1], normal[0]) - np.arctan2(out[:, 1], out[:, 0]) + spread * rng.normal(size=n)
     c, s = np.cos(yaw), np.sin(yaw)
     shift = np.column_stack([c * arm[:, 0] - s * arm[:, 1], s * arm[:, 0] + c * arm[:, 1]])
-    noise = PARTICLES.widening * np.sqrt(np.trace(covariance[:3, :3]) / 3) * rng.normal(size=(n, 2))
+    noise = WIDENING * np.sqrt(np.trace(covariance[:3, :3]) / 3) * rng.normal(size=(n, 2))
     yaw = np.mod(yaw + np.pi, 2 * np.pi) - np.pi
     return np.column_stack([middle[:2] + noise - shift, yaw, stable[chosen]])
 
@@ -255,7 +238,7 @@ def contact_log_likelihoods(
     """
     met = [(k, touch.contact_world, touch.radius) for k, touch in enumerate(reversed(touches))]
     contacts = [(later, contact, radius) for later, contact, radius in reversed(met) if contact]
-    R, freedom = Ts_world_object[:, :3, :3], LIKELIHOOD.freedom
+    R, freedom = Ts_world_object[:, :3, :3], FREEDOM
     constant = math.lgamma((freedom + 3) / 2) - math.lgamma(freedom / 2) - 1.5 * math.log(freedom * math.pi)
     middle = se3.apply(Ts_world_object, model.center_object[None])[:, 0]
     log_likelihoods = np.empty((len(Ts_world_object), len(contacts)))
@@ -266,7 +249,7 @@ def contact_log_likelihoods(
         n = np.einsum("nij,nj->ni", R, values.gradient)
         n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
         lever = np.cross(point - middle, n)
-        of_point = np.trace(covariance[:3, :3]) / 3 + later * LIKELIHOOD.push**2 + model.sigma_point**2
+        of_point = np.trace(covariance[:3, :3]) / 3 + later * PUSH**2 + model.sigma_point**2
         of_distance = of_point + (table.sigma_height * n[:, 2]) ** 2
         of_distance += table.sigma_tilt**2 * (lever[:, :2] ** 2).sum(axis=1)
         curvature2 = (values.hessian**2).sum(axis=(1, 2)) / 2
@@ -277,7 +260,7 @@ def contact_log_likelihoods(
         log_likelihoods[:, k] = constant - (freedom + 3) / 2 * np.log1p(chi2 / freedom)
         log_likelihoods[:, k] -= np.log(of_distance) / 2 + np.log(of_normal)
     # A contact with something else is at any distance, and its normal in any direction.
-    other = np.log(LIKELIHOOD.other_share / (LIKELIHOOD.other_range * 4 * np.pi))
+    other = np.log(OTHER_SHARE / (OTHER_RANGE * 4 * np.pi))
     return np.logaddexp(log_likelihoods, other)
 
 
@@ -294,6 +277,6 @@ def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_o
         points = se3.apply(Ts_object_world, touch.free_world)
         distance = model.evaluate(points.reshape(-1, 3)).distance.reshape(points.shape[:2])
         depth = np.maximum(touch.radius - distance.min(axis=1), 0.0)
-        variance = touch.sigma**2 + (len(touches) - 1 - i) * LIKELIHOOD.push**2
+        variance = touch.sigma**2 + (len(touches) - 1 - i) * PUSH**2
         log_likelihood -= depth**2 / (2 * variance)
     return log_likelihood

@@ -1,7 +1,5 @@
 """The choice of the next sweep: the one whose outcome tells most about the object's pose."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,22 +8,15 @@ from handsight.checks import Array
 from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search.area import Sweep, cast
-from handsight.search.belief import CERTAINTY, Belief
+from handsight.search.belief import CERTAIN_POSITION, CERTAIN_ROTATION, Belief
 
-
-class SweepOptions(NamedTuple):
-    """`SweepOptions` say how the next sweep is chosen."""
-
-    sigma_distance: float = 0.0025  # of a touch, along the normal: a degree at each joint of the finger [m]
-    sigma_normal: float = float(np.deg2rad(6.0))  # of a touch's normal [rad]
-    same: float = 0.5  # distance of two poses that need not be distinguished [limits of certainty]
-    curvature_radius: float = 0.03  # of a surface that a sweep brushes [m]
-    max_sweeps: int = 256  # sweeps that are compared
-    max_poses: int = 128  # particles on which each sweep is cast
-    margin: float = 0.03  # length of a sweep before and beyond the points at which it may meet the object [m]
-
-
-SWEEPS = SweepOptions()
+SIGMA_DISTANCE = 0.0025  # of a touch, along the normal: a degree at each joint of the finger [m]
+SIGMA_NORMAL = float(np.deg2rad(6.0))  # of a touch's normal [rad]
+SAME = 0.5  # distance of two poses that need not be distinguished [limits of certainty]
+CURVATURE_RADIUS = 0.03  # of a surface that a sweep brushes [m]
+MAX_SWEEPS = 256  # sweeps that are compared
+MAX_POSES = 128  # particles on which each sweep is cast
+MARGIN = 0.03  # length of a sweep before and beyond the points at which it may meet the object [m]
 
 
 def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> Array:
@@ -35,21 +26,21 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
     Bhattacharyya distances between the outcomes of all pairs of poses (Kolchinsky and Tracey 2017, α = 1/2). Pairs so
     near to each other that the object can be grasped at either are not distinguished.
     """
-    Ts = belief.Ts_world_object[:: max(len(belief.placements) // SWEEPS.max_poses, 1)]
+    Ts = belief.Ts_world_object[:: max(len(belief.placements) // MAX_POSES, 1)]
     distances, normals, gaps = cast(belief.model, Ts, sweeps, radius)
     hit = np.isfinite(distances)
     directions = np.array([sweep.direction_world for sweep in sweeps])
     cosines = -np.einsum("snj,sj->sn", normals, directions)
     # How far the path would have to be shifted for a miss to be a hit, or a hit to be a miss.
-    margins = np.where(hit, SWEEPS.curvature_radius * cosines**2 / 2, gaps)
+    margins = np.where(hit, CURVATURE_RADIUS * cosines**2 / 2, gaps)
     shifts, turns = np.array([pose_distances(belief.model, Ts, T) for T in Ts]).transpose(1, 0, 2)
-    same = (shifts < SWEEPS.same * CERTAINTY.position) & (turns < SWEEPS.same * CERTAINTY.rotation)
+    same = (shifts < SAME * CERTAIN_POSITION) & (turns < SAME * CERTAIN_ROTATION)
     information = []
     for k in range(len(sweeps)):
         d, n, m, h = np.where(hit[k], distances[k], 0.0), normals[k], margins[k], hit[k]
-        chi2 = ((d[:, None] - d) * (cosines[k, :, None] + cosines[k]) / 2 / SWEEPS.sigma_distance) ** 2
-        chi2 += ((n[:, None] - n) ** 2).sum(axis=2) / SWEEPS.sigma_normal**2
-        chi2 = np.where(h[:, None] & h, chi2, ((m[:, None] + m) / SWEEPS.sigma_distance) ** 2)
+        chi2 = ((d[:, None] - d) * (cosines[k, :, None] + cosines[k]) / 2 / SIGMA_DISTANCE) ** 2
+        chi2 += ((n[:, None] - n) ** 2).sum(axis=2) / SIGMA_NORMAL**2
+        chi2 = np.where(h[:, None] & h, chi2, ((m[:, None] + m) / SIGMA_DISTANCE) ** 2)
         chi2[same | ~(h[:, None] | h)] = 0.0
         information.append(-np.log(np.exp(-chi2 / 8).mean(axis=1)).mean())
     return np.maximum(information, 0.0)
@@ -64,10 +55,10 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
     levels = checks.finite(heights, "heights", (None,))
     if not len(levels) or not (levels > 0).all():
         raise InvalidInput(f"heights: expected some above 0, got {checks.brief(levels)}")
-    area, some = belief.area, belief.placements[:: max(len(belief.placements) // SWEEPS.max_poses, 1), :2]
-    reach = float(np.linalg.norm(area.high - area.low)) / 2 + belief.model.radius + SWEEPS.margin
+    area, some = belief.area, belief.placements[:: max(len(belief.placements) // MAX_POSES, 1), :2]
+    reach = float(np.linalg.norm(area.high - area.low)) / 2 + belief.model.radius + MARGIN
     sweeps = []
-    for _ in range(SWEEPS.max_sweeps):
+    for _ in range(MAX_SWEEPS):
         angle, offset = rng.uniform(0, 2 * np.pi), belief.model.radius * rng.uniform(-1, 1)
         along, lateral = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         through = some[rng.integers(len(some))] + offset * lateral
@@ -82,7 +73,7 @@ def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
     hits = distances[np.isfinite(distances)]
     if not len(hits):
         return sweep
-    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
+    return sweep.part(max(hits.min() - MARGIN, 0.0), min(hits.max() + MARGIN, sweep.length))
 
 
 def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:

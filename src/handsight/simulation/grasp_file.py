@@ -10,11 +10,11 @@ from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes, text_file
 from handsight.simulation.grasp_search import GraspSearchResult
-from handsight.simulation.motion import Grasp
+from handsight.simulation.motion import CAN, Grasp
 
 
 class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
+    """The fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
     first five are for people."""
 
     object: str
@@ -56,9 +56,7 @@ def read_grasp(path: Path, joints: Collection[str] | None = None) -> Grasp:
 
     `joints`: those of a rig's own hand; None: the Shadow hand's.
     """
-    numbers = {"FF": "321", "MF": "321", "RF": "321", "LF": "4321", "TH": "43210"}
-    servos = {f"robot0:{finger}J{number}" for finger, of_finger in numbers.items() for number in of_finger}
-    servos = servos if joints is None else set(joints)
+    servos = CAN.closed if joints is None else joints
     try:
         form = msgspec.json.decode(read_bytes(path, 1_000_000), type=_GraspFile)
         position = checks.finite(form.position_palm, "position_palm", (3,))

@@ -2,199 +2,368 @@
 
 One finger presses against others. Palm and joints minimise the tips' distances from the object and the forces and
 torques that remain where each tip presses along the object's normal (Liu et al. 2021, differentiable force closure),
-clear of object and table. Nothing is known of the hand but its file and its rig's fingertips.
+clear of object and table, as MuJoCo measures it. The targets of the servos then give the forces.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import combinations
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.hand.surface import body_triangles
-from handsight.rig import Rig
-from handsight.simulation.hand_in_world import servo_name
+from handsight.simulation.grasped_body import (
+    face_offsets,
+    least_rotation,
+    rests,
+    standing,
+)
+from handsight.simulation.hand_in_world import Follower, servo_name
 from handsight.simulation.motion import Grasp
-from handsight.simulation.scene import SimulatedScene
-from handsight.simulation.shadow_grasps import GRASP, POSTURE, Body, forces, least_rotation, rests
+from handsight.simulation.scene import SimulatedScene, mujoco_module, rows
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+KNOWN = (4, 4, 8)
+"""Of each rest of the object: groups of fits, of which the best is tried first; fits of a group; and random starts, of
+which the best is fitted. For a hand whose relaxed posture is known."""
+UNKNOWN = (1, 30, 30)
+"""The same for other hands."""
+STEPS = 30
+"""Of a fit."""
+SOFT = 0.003
+"""Width over which neighbouring faces share their normals [m]."""
+PRESS = 6.0
+"""Of the finger that presses against others [N]."""
+LEVER = 0.04
+"""Arm at which a torque counts as much as a force [m]."""
+THIN = 0.036
+"""Width of a thin object [m], which rolls away sooner and is pressed half as hard."""
+TIP_CLEARANCE = 0.022
+"""Of the open tips from the object [m]."""
+LINK_CLEARANCE = 0.006
+"""Of links and unused tips from object and table that is aimed at [m]."""
+MIN_CLEARANCE = 0.0005
+"""Smallest clearance that is accepted [m]."""
+MAX_MISS = 0.002
+"""Distance of a tip from the object that is accepted [m]."""
+MAX_UNBALANCED = 4
+"""Of what remains where tips press along the normals, as weighted in a fit, that is accepted: friction bears it."""
+LARGEST_TURN = 1.5
+"""Of a joint from its zero, where its file allows more [rad]."""
 
 
-class FitOptions(NamedTuple):
-    """`FitOptions` configure the search of a hand's grasps."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Fingers, and a posture of the hand from which it is moved onto the object.
 
-    samples: int = 2000  # random postures of the hand, by which its opening is measured
-    starts: int = 30  # fits of each rest of the object
-    drawn: int = 60  # random starts, of which the best is fitted
-    steps: int = 40  # of a fit
-    soft: float = 0.003  # width over which neighbouring faces share their normals [m]
-    points: int = 250  # on the links, that must be clear of object and table
-    corners: int = 26  # directions in which the farthest point of each link must be clear, too
-    max_left: float = 2.0  # force that may remain unbalanced [N]
-    max_lacking: float = 0.5  # mean share of the tips' forces that the balance does not allow
+    A posture (6 + n,) is the palm's position in the world [m], its rotation from `R_world_palm` [rad], and the joints.
+    """
+
+    used: tuple[int, ...]  # numbers of the fingers, the pressing one first
+    R_world_palm: Array  # (3, 3)
+    posture: Array
 
 
-FIT = FitOptions()
+@dataclass(frozen=True, slots=True, eq=False)
+class TipsAtObject:
+    """Where the used tips face the object in a posture, in the world, and how that depends on the posture."""
+
+    points: Array  # (k, 3) on the tips [m]
+    normals: Array  # (k, 3) outward, of the object there
+    pads: Array  # (k, 3) the directions of the tips' pads
+    by_point: Array  # (k, 3, 6 + n) derivatives of points that are fixed on the tips
+    by_turn: Array  # (k, 3, 6 + n) derivatives of the tips' rotations
+    by_normal: Array  # (k, 3, 6 + n)
 
 
 class HandFit:
-    """A `HandFit` is a rig's hand around an object; `grasps` yields closing motions."""
+    """A hand around an object; `grasps` yields closing motions."""
 
-    def __init__(self, rig: Rig, scene: SimulatedScene, body: Body, seed: int) -> None:
-        """Measures how far the hand opens, by random postures."""
-        self._hand, self._fingers, self._rng = rig.hand, list(rig.fingers), np.random.default_rng((seed, 20))
-        self._parts = [rig.fingers[name] for name in self._fingers]
-        self._rests = rests(body)[: GRASP.max_rests]
+    def __init__(self, scene: SimulatedScene, body: "Trimesh", seed: int) -> None:
+        """Takes what moves, presses and must stay clear from the scene."""
+        model = scene.model
+        self._mujoco = mujoco_module()
+        self._model = model
+        self._data: Any = self._mujoco.MjData(model)
+        self._hand = hand = scene.hand
         self._body = body
-        spread, corners = rig.hand.surface(FIT.points, without={part.frame for part in self._parts}), []
-        for name in spread.bodies:  # a box touches by its corners first, between which few points are
-            vertices = body_triangles(scene.model, scene.model.body(f"hand/{name}").id).reshape(-1, 3)
-            corners.append(vertices[np.unique((vertices @ se3.directions(FIT.corners).T).argmax(axis=0))])
-        points = np.vstack([spread.points_body, *corners])
-        owners = [*spread.body_of, *(k for k, each in enumerate(corners) for _ in each)]
-        self._surface = replace(spread, points_body=points, body_of=np.array(owners, dtype=np.int64))
-        self._names = tuple(dict.fromkeys((*rig.hand.moving, *self._surface.joints)))
-        limits = dict(zip(rig.hand.joint_names, np.clip(rig.hand.limits, -1.5, 1.5), strict=True))
-        self._low, self._high = np.array([limits[name] for name in self._names]).T
-        servos = (scene.model.actuator(servo_name(name)) for name in self._names)
-        self._stiffness = {name: float(s.gainprm[0]) for name, s in zip(self._names, servos, strict=True)}
-        self._place = {name: k for k, name in enumerate(rig.hand.tips)}
-        postures = self._rng.uniform(self._low, self._high, (FIT.samples, len(self._low)))
-        centers = np.array([self._tips(q)[:, :3, 3] for q in postures])
-        gaps = np.linalg.norm(centers[:, :, None] - centers[:, None], axis=3)
-        self.opening = float(gaps.max()) - 2 * min(float(part.tip.semi_axes.min()) for part in self._parts)
-        """Largest distance between two fingertips [m]."""
-        numbers = range(len(self._fingers))
-        self._sets = [
-            (one, *others)
-            for one in numbers
-            for n in (1, 2, 3)
-            for others in combinations([k for k in numbers if k != one], n)
-            if n > 1 or len(self._fingers) < 3
-        ]
+        self._middle = scene.bounds_object.mean(axis=0)
+        self._rng = np.random.default_rng((seed, 20))
+        joints = [model.joint(name).id for name in hand.grasping]
+        limited = model.jnt_limited[joints, None].astype(bool)
+        limits = np.where(limited, model.jnt_range[joints], np.inf * np.array([-1, 1]))
+        self._low, self._high = np.clip(limits, -LARGEST_TURN, LARGEST_TURN).T
+        self._joint_places = model.jnt_qposadr[joints]
+        self._dofs = model.jnt_dofadr[joints]
+        self._leads = [(name, of, of.law.deriv()) for name, of in hand.followers.items()]
+        self._stiffness = np.array([model.actuator(servo_name(name)).gainprm[0] for name in hand.grasping])
+        parts = hand.tips.values()
+        self._semi_axes = np.array([part.semi_axes for part in parts])
+        self._pads = np.array([part.pad for part in parts])
+        self._pad_cosines = np.array([part.pad_cosine for part in parts])
+        self._tips = np.array([model.geom(f"{finger}_tip").id for finger in hand.tips])
+        self._object = model.geom("object").id
+        self._table = model.geom("table").id
+        touching = np.flatnonzero(model.geom_contype & 1)
+        numbers = dict(zip(hand.tips, self._tips.tolist(), strict=True))
+        self._neighbours = [(numbers[one], numbers[other]) for one, other in hand.neighbours]
+        self._links = np.setdiff1d(touching, [*self._tips, self._object])
+
+    def opening(self) -> float:
+        """Returns the largest distance between two fingertips, by random postures [m]."""
+        most = 0.0
+        for joints in self._rng.uniform(self._low, self._high, (2000, len(self._low))):
+            self._place(np.concatenate([np.zeros(6), joints]), np.eye(3))
+            at = self._data.geom_xpos[self._tips]
+            most = max(most, np.linalg.norm(at[:, None] - at, axis=2).max())
+        return float(most - 2 * self._semi_axes.min())
 
     def grasps(self) -> Iterator[tuple[Grasp | None, str, str]]:
-        """Yields grasps with the names of their fingers, the pressing one first, and the reason where there is none.
+        """Yields grasps, the reason where there is none, and the names of the fingers, the pressing one first."""
+        fingers = list(self._hand.tips)
+        groups, fits, drawn = KNOWN if self._hand.relaxed else UNKNOWN
+        for R in rests(self._body):
+            self._stand(R)
+            for _ in range(groups):
+                group = sorted((self._fitted(drawn) for _ in range(fits)), key=lambda fit: fit[0])
+                for _, start, posture in group:
+                    pressing, *others = (fingers[k] for k in start.used)
+                    yield *self._grasp(start, posture, R), f"{pressing} against {', '.join(others)}"
 
-        Those of a rest are fitted first, and yielded in the order of their cost.
-        """
-        for R in self._rests:
-            self._stand = self._body.turned(R)
-            fits = sorted((self._fitted() for _ in range(FIT.starts)), key=lambda fit: fit[0])
-            for _, used, R0, x in fits:
-                one, *others = (self._fingers[k] for k in used)
-                yield *self._grasp(used, R0, x, R), f"{one} against {', '.join(others)}"
+    def _stand(self, R: Array) -> None:
+        """Puts the object on the table, turned by R (3, 3)."""
+        body = standing(self._body, R)
+        self._normals = body.face_normals
+        self._offsets = face_offsets(body)
+        self._areas = body.area_faces
+        self._mass = body.center_mass
+        self._size = np.ptp(body.vertices, axis=0)
+        self._height = float(body.bounds[:, 2].mean())
+        T_world_object = se3.compose(R, np.array([0, 0, self._height]) - R @ self._middle)
+        self._data.joint("object").qpos[:] = rows(T_world_object)
 
-    def _fitted(self) -> tuple[float, tuple[int, ...], Array, Array]:
-        """Returns cost, fingers, first rotation (3, 3) and posture of the best of some random starts, fitted."""
-        drawn = list[tuple[float, Array, Array]]()
-        used = self._sets[self._rng.integers(len(self._sets))]
-        for _ in range(FIT.drawn):
-            q = self._rng.uniform(0.8 * self._low + 0.2 * self._high, 0.2 * self._low + 0.8 * self._high)
-            at = self._tips(q)[:, :3, 3]
-            grip = (at[used[0]] + at[list(used[1:])].mean(axis=0)) / 2
-            positions = dict(zip(self._names, q.tolist(), strict=True))
-            links = self._surface.points_palm(positions)
-            # The hand's links are beside the object or above it.
-            away = links.mean(axis=0) - grip if len(links) else -grip
-            turn, rise, roll = self._rng.uniform((0, 0, -np.pi), (2 * np.pi, np.pi / 2, np.pi))
-            goal = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-            R0 = se3.rotation_exp(roll * goal) @ least_rotation(away, goal)
-            middle = self._stand.mass + self._rng.uniform(-0.2, 0.2, 3) * np.ptp(self._stand.vertices, axis=0)
-            x = np.concatenate([middle - R0 @ grip, np.zeros(3), q])
-            cost = float(np.square(self._residuals(x, used, R0, q)).sum())
-            drawn.append((cost, R0, x))
-        _, R0, x = min(drawn, key=lambda start: start[0])
-        q = x[6:]
-        low, high = np.r_[np.full(6, -np.inf), self._low], np.r_[np.full(6, np.inf), self._high]
+    def _fitted(self, drawn: int) -> tuple[float, Start, Array]:
+        """Returns the cost of the best of some random starts once it is fitted, less for more fingers; the start, and
+        the posture."""
+        grips = self._hand.grips
+        used = grips[self._rng.integers(len(grips))]
+        starts = [self._start(used) for _ in range(drawn)]
+        costs = [np.square(self._linear(start.posture, start)[0]).sum() for start in starts]
+        start = starts[int(np.argmin(costs))]
+        cost, posture = self._solved(start.posture, start)
+        return cost - 3 * len(used), start, posture
+
+    def _start(self, used: tuple[int, ...]) -> Start:
+        """Returns a random posture in which the object is between the tips, and links beside or above it."""
+        middle = (self._low + self._high) / 2
+        half = 0.3 * (self._high - self._low)
+        if self._hand.relaxed:
+            middle = np.array([self._hand.relaxed.get(name, 0.0) for name in self._hand.grasping])
+            half = np.full(len(middle), 0.4)  # [rad]
+        joints = np.clip(self._rng.uniform(middle - half, middle + half), self._low, self._high)
+        self._place(np.concatenate([np.zeros(6), joints]), np.eye(3))
+        tips = self._data.geom_xpos[self._tips]
+        grip = (tips[used[0]] + tips[list(used[1:])].mean(axis=0)) / 2
+        links = np.vstack([np.zeros(3), self._data.geom_xpos[self._links]])
+        turn, rise, roll = self._rng.uniform((0, 0, -np.pi), (2 * np.pi, np.pi / 2, np.pi))
+        away = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+        R = se3.rotation_exp(roll * away) @ least_rotation(links.mean(axis=0) - grip, away)
+        middle_object = self._mass + self._rng.uniform(-0.2, 0.2, 3) * self._size
+        return Start(used, R, np.concatenate([middle_object - R @ grip, np.zeros(3), joints]))
+
+    def _solved(self, posture: Array, start: Start, away: float = 0.0) -> tuple[float, Array]:
+        """Returns cost and posture after the fit. Where tips are to be `away` from the object [m], the palm stays."""
+        kept = posture[:6] if away else posture[:0]
+        free = posture[len(kept) :]
+        of_palm = np.full(6 - len(kept), np.inf)
+        low = np.concatenate([-of_palm, self._low])
+        high = np.concatenate([of_palm, self._high])
+
+        def linear(free: Array) -> tuple[Array, Array]:
+            return self._linear(np.concatenate([kept, free]), start, away)
+
         found = least_squares(
-            self._residuals, np.clip(x, low + 1e-4, high - 1e-4), bounds=(low, high), args=(used, R0, q),
-            x_scale=np.repeat([0.1, 0.5], [6, len(q)]), max_nfev=FIT.steps, ftol=1e-3, xtol=1e-4,
-        )  # fmt: skip
-        return float(found.cost), used, R0, found.x
+            lambda free: linear(free)[0],
+            np.clip(free, low + 1e-4, high - 1e-4),
+            lambda free: linear(free)[1][:, len(kept) :],
+            bounds=(low, high),
+            x_scale=np.repeat([0.1, 0.5], [len(of_palm), len(self._low)]),
+            max_nfev=STEPS,
+            ftol=1e-3,
+            xtol=1e-4,
+        )
+        return float(found.cost), np.concatenate([kept, found.x])
 
-    def _grasp(self, used: tuple[int, ...], R0: Array, x: Array, R: Array) -> tuple[Grasp | None, str]:
+    def _grasp(self, start: Start, posture: Array, R_world_object: Array) -> tuple[Grasp | None, str]:
         """Returns the closing motion that ends in a posture, or None and the reason."""
-        points, _, _ = self._contacts(x, used, R0)
-        heights = points @ self._stand.normals.T - self._stand.offsets
-        distances, normals = heights.max(axis=1), self._stand.normals[heights.argmax(axis=1)]
-        if np.abs(distances).max() > POSTURE.max_miss:
+        self._place(posture, start.R_world_palm)
+        at = self._tips_at_object(posture, start.used)
+        if np.abs(self._distances(at.points)).max() > MAX_MISS:
             return None, "out of reach"
-        if self._clearance(x, used, R0).min(initial=np.inf) < POSTURE.min_clearance:
+        if min(clearance for _, _, clearance, _ in self._clearances(start.used)) < MIN_CLEARANCE:
             return None, "no room for the hand"
-        wish = np.full(len(used), GRASP.thumb_force / (len(used) - 1))
-        wish[0] = GRASP.thumb_force
-        pressing, left = forces(points, normals, wish)
-        lacking = 1 - np.minimum(np.linalg.norm(pressing, axis=1) / wish, 1.0)
-        if left > FIT.max_left or lacking.mean() > FIT.max_lacking:
+        width = np.linalg.norm(at.points[1:].mean(axis=0) - at.points[0])
+        press = PRESS / 2 if width < THIN else PRESS
+        unbalanced, _ = self._unbalanced(at)
+        if np.linalg.norm(unbalanced) > MAX_UNBALANCED:
             return None, "no balance"
-        q, T_world_palm = x[6:], se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3])
-        positions = dict(zip(self._names, q.tolist(), strict=True))
-        T_palm_world, pose = se3.inverse(T_world_palm), self._hand.kinematics(positions)
-        rows = [self._place[self._fingers[k]] for k in used]
-        J = pose.jacobians(se3.apply(T_palm_world, points), rows)[:, :3]
-        torques = np.einsum("kij,ki->j", J, pressing @ T_world_palm[:3, :3])
-        of_joint = dict(zip(pose.moving_joints, torques.tolist(), strict=True))
-        closed = {name: p + of_joint.get(name, 0.0) / self._stiffness[name] for name, p in positions.items()}
-        opened = least_squares(
-            lambda joints: self._residuals(np.r_[x[:6], joints], used, R0, q, POSTURE.tip_clearance),
-            np.clip(q, self._low + 1e-4, self._high - 1e-4),
-            bounds=(self._low, self._high), max_nfev=FIT.steps, ftol=1e-3, xtol=1e-4,
-        ).x  # fmt: skip
-        height = float(self._stand.middle[2])
-        T_world_middle = se3.compose(R, np.array([0.0, 0.0, height]))
-        opening = dict(zip(self._names, opened.tolist(), strict=True))
-        return Grasp(T_palm_world @ T_world_middle, opening, closed, height, T_world_palm[:3, :3]), ""
+        pressing = -press * shares(len(at.points))[:, None] * at.normals
+        # The servos' targets are off the joints by the torques of the forces.
+        torques = np.einsum("kj,kjn->n", pressing, at.by_point)[6:]
+        closed = posture[6:] + torques / self._stiffness
+        R_world_palm = se3.rotation_exp(posture[3:6]) @ start.R_world_palm
+        T_palm_world = se3.inverse(se3.compose(R_world_palm, posture[:3]))
+        _, opened = self._solved(posture, start, TIP_CLEARANCE)
+        T_world_middle = se3.compose(R_world_object, np.array([0, 0, self._height]))
+        return Grasp(
+            T_palm_middle=T_palm_world @ T_world_middle,
+            opening=dict(zip(self._hand.grasping, opened[6:].tolist(), strict=True)),
+            closed=dict(zip(self._hand.grasping, closed.tolist(), strict=True)),
+            height=self._height,
+            R_world_palm=R_world_palm,
+        ), ""
 
-    def _tips(self, q: Array) -> Array:
-        """Returns T_palm_surface (n, 4, 4) of the fingers' tips."""
-        Ts = self._hand.Ts_palm_tip(dict(zip(self._names, q.tolist(), strict=True)))
-        parts = zip(self._fingers, self._parts, strict=True)
-        return np.array([Ts[self._place[name]] @ part.T_frame_surface for name, part in parts])
+    def _place(self, posture: Array, R_world_palm: Array) -> None:
+        """Places the hand in a posture."""
+        angles = self._data.qpos
+        angles[self._joint_places] = posture[6:]
+        for name, of, _ in self._leads:
+            self._data.joint(name).qpos[:] = of.position(self._lead(of))
+        T_world_palm = se3.compose(se3.rotation_exp(posture[3:6]) @ R_world_palm, posture[:3])
+        T_world_mount = T_world_palm @ se3.inverse(self._hand.T_mount_palm)
+        self._data.joint("mount").qpos[:] = rows(T_world_mount)
+        self._mujoco.mj_kinematics(self._model, self._data)
+        self._mujoco.mj_comPos(self._model, self._data)
 
-    def _distances(self, points: Array) -> tuple[Array, Array]:
-        """Returns distances (n,) of points from the standing object's planes [m], and normals (n, 3), blended."""
-        heights = points @ self._stand.normals.T - self._stand.offsets
-        most = heights.max(axis=1)
+    def _lead(self, of: Follower) -> float:
+        """Returns the position of the joint that another one follows, 0 where there is none."""
+        return float(self._data.joint(of.leader).qpos[0]) if of.leader else 0.0
+
+    def _moves(self, geom: int, point: Array, posture: Array) -> Array:
+        """Returns the derivatives (6, 6 + n) of the point (3,) of a geom, and of its rotation, by the posture."""
+        model = self._model
+        by_joint = np.zeros((6, model.nv))
+        body = model.geom_bodyid[geom]
+        self._mujoco.mj_jac(model, self._data, by_joint[:3], by_joint[3:], point, body)
+        for name, of, slope in self._leads:
+            if of.leader:
+                own = by_joint[:, model.joint(name).dofadr[0]]
+                by_joint[:, model.joint(of.leader).dofadr[0]] += slope(self._lead(of)) * own
+        found = np.zeros((6, len(posture)))
+        found[:, 6:] = by_joint[:, self._dofs]
+        # By a small rotation before that of the posture, to first order in the latter.
+        found[3:, 3:6] = np.eye(3) + se3.skew(posture[3:6]) / 2
+        found[:3, :3] = np.eye(3)
+        found[:3, 3:6] = -se3.skew(point - posture[:3]) @ found[3:, 3:6]
+        return found
+
+    def _distances(self, points: Array) -> Array:
+        """Returns distances (n,) of points from the standing object's planes [m]."""
+        return np.asarray((points @ self._normals.T - self._offsets).max(axis=1))
+
+    def _blended_normals(self, points: Array) -> Array:
+        """Returns the object's normals (..., 3) near points (..., 3), blended between its faces."""
+        heights = points @ self._normals.T - self._offsets
+        near = np.exp((heights - heights.max(axis=-1, keepdims=True)) / SOFT)
         # Triangles of one side count by their area, so that how a side is cut does not matter.
-        weights = self._stand.areas * np.exp((heights - most[:, None]) / FIT.soft)
-        normals = weights @ self._stand.normals
-        return most, normals / np.linalg.norm(normals, axis=1)[:, None]
+        normals = (self._areas * near) @ self._normals
+        return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
-    def _contacts(self, x: Array, used: tuple[int, ...], R0: Array) -> tuple[Array, Array, Array]:
-        """Returns the tips' points (k, 3) that face the object, its normals (k, 3), depths below the caps (k,) [m]."""
-        T = se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3]) @ self._tips(x[6:])[list(used)]
-        _, normals = self._distances(T[:, :3, 3])
-        towards = -np.einsum("kij,ki->kj", T[:, :3, :3], normals)
-        semi = np.array([self._parts[k].tip.semi_axes for k in used])
-        at = semi**2 * towards / np.linalg.norm(semi * towards, axis=1)[:, None]
-        caps = np.array([self._parts[k].tip.cap or 0.0 for k in used])
-        return T[:, :3, 3] + np.einsum("kij,kj->ki", T[:, :3, :3], at), normals, caps + 0.003 - at[:, 2]
+    def _tips_at_object(self, posture: Array, used: tuple[int, ...]) -> TipsAtObject:
+        """Returns where the used tips face the object."""
+        numbers = list(used)
+        geoms = self._tips[numbers]
+        centers = self._data.geom_xpos[geoms]
+        R = self._data.geom_xmat[geoms].reshape(-1, 3, 3)
+        step = 1e-4
+        normals = self._blended_normals(centers)
+        stepped = self._blended_normals(centers[:, None] + step * np.eye(3))
+        by_center = (stepped - normals[:, None]).swapaxes(1, 2) / step
+        scaled = -self._semi_axes[numbers] * np.einsum("kji,kj->ki", R, normals)
+        lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
+        points = centers + np.einsum("kij,kj->ki", R, self._semi_axes[numbers] * scaled / lengths)
+        moved = np.array([self._moves(*each, posture) for each in zip(geoms, points, strict=True)])
+        by_turn = moved[:, 3:]
+        by_centers = moved[:, :3] + se3.skew(points - centers) @ by_turn
+        return TipsAtObject(
+            points=points,
+            normals=normals,
+            pads=np.einsum("kij,kj->ki", R, self._pads[numbers]),
+            by_point=moved[:, :3],
+            by_turn=by_turn,
+            by_normal=by_center @ by_centers,
+        )
 
-    def _clearance(self, x: Array, used: tuple[int, ...], R0: Array) -> Array:
-        """Returns how far links and unused tips are from the object, all from the table, tips from each other [m]."""
-        T = se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3])
-        links = se3.apply(T, self._surface.points_palm(dict(zip(self._names, x[6:].tolist(), strict=True))))
-        tips = se3.apply(T, self._tips(x[6:])[:, :3, 3])
-        radii = np.array([part.tip.semi_axes.max() for part in self._parts])
-        others = [k for k in range(len(tips)) if k not in used]
-        near = self._distances(np.vstack([links, tips[others]]))[0]
-        near[len(links) :] -= radii[others]
-        one, other = np.triu_indices(len(tips), 1)
-        between = np.linalg.norm(tips[one] - tips[other], axis=1) - radii[one] - radii[other]
-        return np.concatenate([near, links[:, 2], tips[:, 2] - radii, between])
+    def _clearances(self, used: tuple[int, ...]) -> Iterator[tuple[int, int, float, Array]]:
+        """Yields two geoms that should not touch, their distance [m], and the points (6,) nearest to each other.
 
-    def _residuals(self, x: Array, used: tuple[int, ...], R0: Array, q: Array, away: float = 0.0) -> Array:
-        """Returns the errors of a posture, weighted; its tips should be at distance `away` from the object [m]."""
-        points, normals, below = self._contacts(x, used, R0)
-        distances, _ = self._distances(points)
-        share = np.full(len(used), 1.0 / (len(used) - 1))
-        share[0] = 1.0
-        pressing = share[:, None] * normals
-        torque = np.cross(points - self._stand.mass, pressing).sum(axis=0) / GRASP.lever
-        lacking = np.minimum(self._clearance(x, used, R0) - POSTURE.link_clearance, 0.0) / 0.003
-        parts = [0.1 * (x[6:] - q), (distances - away) / 0.001, np.maximum(below, 0) / 0.003, lacking]
-        return np.concatenate(parts if away else [*parts, 4 * pressing.sum(axis=0), 4 * torque])
+        Links and unused tips are clear of the object, all are of the table, and neighbouring tips of each other.
+        """
+        unused = np.delete(self._tips, list(used))
+        everything = [*self._links, *self._tips]
+        pairs = [(geom, self._object) for geom in [*self._links, *unused]]
+        pairs += [(geom, self._table) for geom in everything]
+        pairs += self._neighbours
+        for one, other in pairs:
+            nearest = np.zeros(6)
+            distance = self._mujoco.mj_geomDistance(self._model, self._data, one, other, 1.0, nearest)
+            yield one, other, distance, nearest
+
+    def _linear(self, posture: Array, start: Start, away: float = 0.0) -> tuple[Array, Array]:
+        """Returns the weighted errors (m,) of a posture, and their derivatives (m, 6 + n) by it."""
+        self._place(posture, start.R_world_palm)
+        at = self._tips_at_object(posture, start.used)
+        still = 0.1 * np.eye(len(posture))[6:]
+        parts = [(still @ (posture - start.posture), still)]
+        distances = self._distances(at.points)
+        parts.append(((distances - away) / 0.001, np.einsum("kj,kjn->kn", at.normals, at.by_point) / 0.001))
+        parts.append(self._off_pads(at, start.used))
+        parts.append(self._too_near(posture, start.used))
+        if not away:
+            parts.append(self._unbalanced(at))
+        errors, derivatives = zip(*parts, strict=True)
+        return np.concatenate(errors), np.concatenate(derivatives)
+
+    def _off_pads(self, at: TipsAtObject, used: tuple[int, ...]) -> tuple[Array, Array]:
+        """Returns how far each tip meets the object off its pad, and the derivatives (k, 6 + n)."""
+        lacking = self._pad_cosines[list(used)] + (at.pads * at.normals).sum(axis=1)
+        by_posture = np.einsum("kj,kjn->kn", np.cross(at.pads, at.normals), at.by_turn)
+        by_posture += np.einsum("kj,kjn->kn", at.pads, at.by_normal)
+        off = lacking > 0
+        return 10 * lacking * off, 10 * by_posture * off[:, None]
+
+    def _too_near(self, posture: Array, used: tuple[int, ...]) -> tuple[Array, Array]:
+        """Returns by how much parts are too near to each other, and the derivatives (m, 6 + n)."""
+        errors = []
+        rows = []
+        for one, other, distance, nearest in self._clearances(used):
+            lacking = LINK_CLEARANCE - distance
+            row = np.zeros(len(posture))
+            if lacking > 0 and distance:
+                towards = (nearest[3:] - nearest[:3]) / distance
+                row = towards @ self._moves(one, nearest[:3], posture)[:3]
+                if other in self._tips:
+                    row = row - towards @ self._moves(other, nearest[3:], posture)[:3]
+            errors.append(max(lacking, 0) / 0.003)
+            rows.append(row / 0.003)
+        return np.array(errors), np.array(rows)
+
+    def _unbalanced(self, at: TipsAtObject) -> tuple[Array, Array]:
+        """Returns force and torque that remain where tips press along the normals (6,), and the derivatives."""
+        share = shares(len(at.points))
+        pressing = share[:, None] * at.normals
+        by_posture = share[:, None, None] * at.by_normal
+        arms = (at.points - self._mass) / LEVER
+        turning = np.cross(arms, pressing)
+        by_turning = se3.skew(arms) @ by_posture - se3.skew(pressing) @ at.by_point / LEVER
+        errors = np.concatenate([pressing, turning], axis=1).sum(axis=0)
+        return 4 * errors, 4 * np.concatenate([by_posture, by_turning], axis=1).sum(axis=0)
+
+
+def shares(fingers: int) -> Array:
+    """Returns how hard each finger presses, relative to the first, which presses against all others."""
+    return np.array([1.0, *[1 / (fingers - 1)] * (fingers - 1)])

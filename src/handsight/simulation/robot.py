@@ -1,5 +1,6 @@
 """The robot's own knowledge: its rig and its model of the object, as a user would write them down."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -14,8 +15,8 @@ from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.simulation import scene
 from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
-from handsight.simulation.scenario import SCENARIO, Nuisances, Scenario
-from handsight.simulation.taxels import surfaces, topics
+from handsight.simulation.scenario import OBJECT_MASS, Nuisances, Scenario
+from handsight.simulation.taxels import surfaces
 
 
 def rig_of(scenario: Scenario) -> Rig:
@@ -33,7 +34,7 @@ def rig_of(scenario: Scenario) -> Rig:
             own, camera=around.camera, table=around.table, gravity=around.gravity, world_from="tf", skin={},
             frames=around.frames, topics=topics_used, objects=around.objects,
         )  # fmt: skip
-    skin_topics, skin_fields = topics(scenario.sensors, scenario.skin)
+    skin = surfaces(scenario.sensors, scenario.skin)
     declared: Any = {"center_of_mass": "homogeneous", "sigma_center_of_mass": 1e-3}
     unloaded = scene.UNLOADED if wrenches else [None] * len(scene.FINGERS)
     return Rig(
@@ -62,10 +63,9 @@ def rig_of(scenario: Scenario) -> Rig:
             depth="/camera/depth" if scenario.images else None,
             camera_info="/camera/camera_info" if scenario.images else None,
             truth="/truth/object",
-            skin=skin_topics,
-            skin_fields=skin_fields,
+            skin={name: f"/{name}/taxels" for name in skin},
         ),
-        skin=surfaces(scenario.sensors, scenario.skin),
+        skin=skin,
         objects={
             "can": ObjectSpec(cylinder=scene.CAN_SIZE, **declared),
             "box": ObjectSpec(box=scene.BOX_SIZE, **declared),
@@ -74,47 +74,30 @@ def rig_of(scenario: Scenario) -> Rig:
 
 
 def model_of(scenario: Scenario) -> ObjectModel:
-    """Returns the robot's model of the object: scaled, dented or scanned as the scenario's nuisances say.
+    """Returns the robot's model of the object, of the size and with the weight that the scenario's nuisances say.
 
     The model of a mesh is its convex hull, which is simulated. Raises InvalidFile, InvalidObject for an unusable mesh.
     """
-    n, seed = scenario.nuisances, int(scenario.seed)
+    n = scenario.nuisances
     if scenario.object == "can":
-        model = ObjectModel.cylinder(n.object_scale * scene.CAN_SIZE[0], n.object_scale * scene.CAN_SIZE[1])
+        radius, height = scene.CAN_SIZE
+        model = ObjectModel.cylinder(n.object_scale * radius, n.object_scale * height)
     elif scenario.object == "box":
         model = ObjectModel.box(n.object_scale * np.array(scene.BOX_SIZE))
     else:
         vertices, faces = scene.convex_hull(scenario.object)
         model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
-    scan_points, center = 4000, model.volume_centroid if n.declared_mass else None
-    if n.object_dent > 0:
-        # A round dent at a random point of the sides; the mesh is made fine enough to be smooth there.
-        import trimesh
-
-        remesh: Any = trimesh.remesh
-        vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, 0.008, max_iter=20)
-        points, normals = model.sample(scan_points, seed)
-        sides = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
-        k = int(np.random.default_rng((seed, 7)).choice(sides if len(sides) else len(points)))
-        away = np.linalg.norm(vertices - points[k], axis=1)
-        inwards = n.object_dent * np.exp(-0.5 * (away / 0.02) ** 2)
-        model = ObjectModel.from_mesh(vertices - inwards[:, None] * normals[k], faces)
-    if n.object_scan > 0:
-        points, normals = model.sample(scan_points, 7)
-        rng = np.random.default_rng((seed, 8))
-        noisy = points + n.object_scan * rng.normal(size=points.shape)
-        model = replace(ObjectModel.from_points(noisy, normals), symmetries=model.symmetries)
-    if n.declared_mass > 0:
-        mass, sigma = declared_weight(n)
-        model = model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
-    return model
+    if not n.declared_mass:
+        return model
+    mass, sigma = declared_weight(n)
+    return model.with_weight(mass=mass, center_of_mass=model.volume_centroid, sigma_center_of_mass=sigma)
 
 
 def declared_weight(nuisances: Nuisances) -> tuple[float, float]:
     """Returns the object's mass as the robot has it [kg], and the true sigma of its homogeneous centre [m]."""
     n = nuisances
     sigma = float(np.hypot(1e-3, n.object_off_center / np.sqrt(3)))
-    return n.declared_mass * (n.object_mass or SCENARIO.object_mass), sigma
+    return n.declared_mass * (n.object_mass or OBJECT_MASS), sigma
 
 
 @cache
@@ -130,17 +113,17 @@ def _finger(name: str, unloaded: Array | None) -> Finger:
     center = np.array([0.0, 0.0, center_z])
     sensor: dict[str, Any] = {}
     if unloaded is not None:
-        known = unloaded[:3], unloaded[3:], scene.SCENE.tip_mass, center
+        known = unloaded[:3], unloaded[3:], scene.TIP_MASS, center
         sensor = {"calibration": WrenchCalibration(*known, reading="on_tip"), "full_scale": (50.0, 0.5)}
     T_surface_sensor = se3.compose(np.eye(3), -center)
     tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(
         frame=f"robot0:{name}distal",
-        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SCENE.sensor_z + center_z])),
+        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SENSOR_Z + center_z])),
         tip=tip,
         # The tip is exactly where its file has it; these cover its deflection by `tip_compliance`.
         sigma_point=2e-4,
-        sigma_normal=float(np.deg2rad(0.3)),
+        sigma_normal=math.radians(0.3),
         sigma_force=Nuisances().force_noise,
         sigma_torque=Nuisances().torque_noise,
         **sensor,

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,39 +16,39 @@ from handsight.objects.library import Library
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.rig.rig import DepthCamera
+from handsight.simulation.tables import tables
 
 Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
 SensorKind = Literal["wrench", "xela", "paxini", "inspire"]
+Published = Literal["driven", "all"]
 Phase = Literal["touch", "close", "hold", "move", "pull"]
 
 
-class ScenarioLimits(NamedTuple):
-    """`ScenarioLimits` are the constants of all scenarios, and the limits of their settings."""
-
-    torsion: float = 0.005  # largest torque about a tip's normal by the largest force along the surface [m]
-    steps_per_second: int = 500  # of the simulator: two milliseconds are as accurate as one
-    object_mass: float = 0.15  # if a scenario does not give another [kg]
-    max_extent: float = 0.5  # of a mesh [m]; a larger one is not in metres, or fits in no hand
-    max_nuisance: float = 100.0  # of any nuisance, in its unit; no robot's errors are as large
-    min_rate: float = 1e-3  # observations per second; a run lasts seconds
-
-
-SCENARIO = ScenarioLimits()
+MESHES = (".stl", ".obj", ".ply", ".off")
+TORSION_ARM = 0.005
+"""Largest torque about a tip's normal by the largest force along the surface [m]."""
+STEPS_PER_SECOND = 500
+"""Of the simulator: two milliseconds are as accurate as one."""
+OBJECT_MASS = 0.15
+"""The mass of an object if a scenario does not give another [kg]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nuisances:
-    """`Nuisances` are the errors of a real robot's readings; zero switches one off, `none` all of them.
+    """The errors of a real robot's readings; zero switches one off, `none` all of them.
 
     Each sigma is one standard deviation per axis. A constant error is drawn once from the scenario's seed, and a
     setting changes the size of its own error only, never the draws of another.
     """
 
-    joint_offset: float = float(np.deg2rad(1.0))
+    joint_offset: float = math.radians(1.0)
     """Sigma of a constant error of each joint [rad]."""
-    joint_noise: float = float(np.deg2rad(0.1))
+    joint_noise: float = math.radians(0.1)
     """Sigma of the noise of a joint's readings [rad]."""
+    coupled_joint: float = math.radians(2.0)
+    """Sigma of the constant error of each coupled joint, by how far it is off what its leader says [rad], of a slide on
+    an arm of 5 cm; the Shadow hand has none."""
     force_noise: float = 0.01
     """Sigma of the noise of forces [N]."""
     torque_noise: float = 5e-5
@@ -61,7 +61,7 @@ class Nuisances:
     """Sigma of the constant rate at which the forces' bias grows from the first sample on [N/s]."""
     torque_drift: float = 5e-7
     """Sigma of the constant rate at which the torques' bias grows [N m/s]."""
-    object_mass: float = SCENARIO.object_mass
+    object_mass: float = OBJECT_MASS
     """Mass of the object, of uniform density [kg]; 0 means the default mass."""
     object_off_center: float = 0.0
     """Constant distance of its centre of mass from the middle of its bounds, in a random direction, at most a third of
@@ -82,17 +82,17 @@ class Nuisances:
     calibration [m]."""
     camera_height: float = 0.064
     """Sigma of that shift along the vertical [m]; 0 leaves the error in the plane."""
-    camera_rotation: float = float(np.deg2rad(6.0))
+    camera_rotation: float = math.radians(6.0)
     """Sigma of the constant rotation, about the scene's middle, of all that the camera measures [rad]."""
     vision_position: float = 0.005
     """Sigma of the noise of vision's poses [m]."""
-    vision_rotation: float = float(np.deg2rad(3.0))
+    vision_rotation: float = math.radians(3.0)
     """Sigma of the noise of the rotations of vision's poses [rad]."""
     vision_delay: float = 0.02
     """How much older a pose measurement, or an image, is than its stamp says [s]."""
     table_height: float = 0.003
     """Sigma of the constant height of the true table above the table of the robot's rig [m]."""
-    table_tilt: float = float(np.deg2rad(1.0))
+    table_tilt: float = math.radians(1.0)
     """Sigma of the constant tilt of the table about each of its sides [rad]."""
     depth_noise: float = 1.0
     """Factor of the usual noise, quantisation, dropout and lost edges of a depth camera."""
@@ -112,10 +112,6 @@ class Nuisances:
     """Number of taxels of each such surface that always read the same; below 1 it is a share of them."""
     taxel_crosstalk: float = 0.03
     """Share of such a taxel's force that each of its neighbours reads in its place."""
-    object_dent: float = 0.0
-    """Depth of a dent that only the robot's model has [m]."""
-    object_scan: float = 0.0
-    """Sigma of the points of a scan [m]: above zero the robot's model is a cloud of 4 000 such points."""
     friction: float = 1.0
     """Coefficient of friction of the fingertips; torsional friction is proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
@@ -154,36 +150,37 @@ class Nuisances:
     declares none."""
 
     def __post_init__(self) -> None:
+        ranges = tables()["ranges"]
         for item in dataclasses.fields(self):
             value = float(checks.finite(getattr(self, item.name), item.name, ()))
-            if value < 0:
-                raise InvalidInput(f"{item.name}: expected a number of at least 0, got {value:g}")
-            if value > SCENARIO.max_nuisance:
-                raise InvalidInput(f"{item.name}: expected at most {SCENARIO.max_nuisance:g}, got {value:g}")
-        for name, (low, high) in RANGES.items():
-            if not low <= getattr(self, name) <= high:
-                raise InvalidInput(f"{name}: expected {low:g} to {high:g}, got {getattr(self, name):g}")
+            low, high = ranges.get(item.name, (0, 100))  # no robot's errors are larger, in their units
+            if not low <= value <= high:
+                raise InvalidInput(f"{item.name}: expected {low:g} to {high:g}, got {value:g}")
         if self.pyramidal_friction not in (0, 1):
             raise InvalidInput(f"pyramidal_friction: expected 0 or 1, got {self.pyramidal_friction:g}")
 
     @classmethod
     def none(cls) -> "Nuisances":
         """Returns nuisances of size zero: the robot's readings are exact."""
-        off = {item.name: 0.0 for item in dataclasses.fields(cls)}
         kept = ("object_scale", "object_mass", "friction", "vision_drift_time")
-        return cls(**{**off, **{name: getattr(cls(), name) for name in kept}})
+        names = [item.name for item in dataclasses.fields(cls)]
+        return cls(**{name: 0.0 for name in names if name not in kept})
 
     @classmethod
     def harsh(cls, seed: int) -> "Nuisances":
-        """Returns nuisances of the sizes that a hard world of this seed has, each drawn from its range in `HARSH`.
+        """Returns nuisances of the sizes that a hard world of this seed has, each drawn from its range in the tables.
 
         Each size has its own random stream: a nuisance that is added, or left out, changes no other.
         """
         drawn = {}
-        for name, (low, high) in HARSH.items():
+        for name, (low, high) in tables()["harsh"].items():
             rng = np.random.default_rng((seed, 13, *name.encode()))
-            drawn[name] = float(rng.integers(2) if name == "pyramidal_friction" else rng.uniform(low, high))
-        drawn["object_mass"] = math.exp(drawn["object_mass"])
+            if name == "pyramidal_friction":
+                drawn[name] = float(rng.integers(2))
+            elif name == "object_mass":
+                drawn[name] = math.exp(rng.uniform(math.log(low), math.log(high)))
+            else:
+                drawn[name] = float(rng.uniform(low, high))
         return cls(**drawn)
 
     def shares_world(self, other: "Nuisances") -> bool:
@@ -191,53 +188,16 @@ class Nuisances:
         return all(getattr(self, name) == getattr(other, name) for name in PHYSICAL)
 
 
-RANGES = {
-    "object_scale": (0.5, 2.0),
-    "friction": (0.1, 2.0),
-    "message_loss": (0.0, 1.0),
-    "tip_size": (0.0, 0.002),
-    "contact_softness": (0.0, 4.0),
-    "declared_mass": (0.0, 10.0),
-    "taxel_hysteresis": (0.0, 1.0),
-    "taxel_crosstalk": (0.0, 0.1),
-}
-"""Least and greatest value of the nuisances that have narrower limits than all have."""
 PHYSICAL = (
     "object_mass", "object_off_center", "unsensed_force", "support_force", "friction", "pull_force", "pull_torque",
-    "tip_size", "contact_softness", "pyramidal_friction",
+    "tip_size", "contact_softness", "pyramidal_friction", "coupled_joint",
 )  # fmt: skip
 """The nuisances that change what happens; all others change what is measured, or what the robot believes."""
-HARSH = {
-    "joint_offset": (np.deg2rad(1.0), np.deg2rad(2.0)),
-    "force_noise": (0.01, 0.03),
-    "torque_noise": (5e-5, 1.5e-4),
-    "force_gain": (0.01, 0.04),
-    "force_backlash": (0.0, 0.05),
-    "torque_backlash": (0.0, 2.5e-4),
-    "tip_compliance": (2e-5, 5e-5),
-    "tip_size": (1e-4, 3e-4),
-    "contact_softness": (0.0, 0.6),
-    "pyramidal_friction": (0, 1),
-    "friction": (0.7, 1.2),
-    "object_mass": (math.log(0.05), math.log(0.5)),
-    "object_off_center": (0.0, 0.02),
-    "declared_mass": (0.9, 1.1),
-    "object_scale": (0.985, 1.015),
-    "table_height": (0.003, 0.0075),
-    "table_tilt": (np.deg2rad(1.0), np.deg2rad(1.5)),
-    "vision_delay": (0.0, 0.2),
-    "vision_drift_position": (0.0, 0.02),
-    "vision_drift_rotation": (0.0, np.deg2rad(6.0)),
-    "vision_drift_time": (2.0, 20.0),
-    "message_loss": (0.0, 0.05),
-    "stamp_jitter": (0.0, 0.005),
-}
-"""Ranges of the sizes in a harsh world, in each nuisance's unit; of the mass, of its logarithm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """A `Scenario` is one grasp or manipulation of an object, one draw of its errors, and how it is recorded."""
+    """One grasp or manipulation of an object, one draw of its errors, and how it is recorded."""
 
     object: str = "can"
     """`can` (large-diameter grasp), `box` (tripod grasp), a mesh file in metres, or a name in the library; the convex
@@ -264,33 +224,40 @@ class Scenario:
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
     rig: Rig | None = None
     """The rig of the hand, a force/torque sensor in each fingertip; None: the Shadow hand."""
+    joints: Published = "driven"
+    """Which joints' positions are measured: those with a motor, as coupled ones follow them, or `all`."""
 
     def __post_init__(self) -> None:
-        meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
-        suffix = Path(name).suffix.lower() if isinstance(name, str) else ""
-        if not isinstance(name, str) or not (name in ("can", "box") or suffix in meshes or _in_library(name)):
-            expected = f"expected can, box, a mesh file ({', '.join(meshes)}) or an object of the library"
-            raise InvalidInput(f"object: {expected}, got {name!r:.80}")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
-            raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        for name, kind in {"motion": Motion, "sensors": SensorKind, "depth_camera": DepthCamera}.items():
-            if (value := getattr(self, name)) not in get_args(kind):
-                raise InvalidInput(f"{name}: expected one of {', '.join(get_args(kind))}, got {value!r:.80}")
+        if not _is_known(self.object):
+            expected = f"can, box, a mesh file ({', '.join(MESHES)}) or an object of the library"
+            raise InvalidInput(f"object: expected {expected}, got {self.object!r:.80}")
+        checks.integer(self.seed, "seed", 2**63)
+        choices = {
+            "motion": get_args(Motion),
+            "sensors": get_args(SensorKind),
+            "depth_camera": get_args(DepthCamera),
+            "joints": get_args(Published),
+            "images": (True, False),
+            "skin": (True, False),
+        }
+        for name, values in choices.items():
+            value = getattr(self, name)
+            if value not in values:
+                raise InvalidInput(
+                    f"{name}: expected one of {', '.join(map(str, values))}, got {value!r:.80}"
+                )
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
-        for name in ("images", "skin"):
-            if not isinstance(value := getattr(self, name), bool):
-                raise InvalidInput(f"{name}: expected true or false, got {value!r:.60}")
         if self.skin and self.object == "box":
             raise InvalidInput(
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
         if self.rig is not None and (self.skin or self.sensors != "wrench"):
             raise InvalidInput("sensors: expected wrench, without skin, for a rig's own hand, got taxels")
-        rate, per_second = checks.positive(self.rate, "rate"), SCENARIO.steps_per_second
-        steps = per_second / rate
-        if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            raise InvalidInput(f"rate: expected a divisor of {per_second} per second, got {rate:g}")
+        rate = checks.positive(self.rate, "rate")
+        steps = STEPS_PER_SECOND / rate
+        if rate < 1e-3 or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+            raise InvalidInput(f"rate: expected a divisor of {STEPS_PER_SECOND} per second, got {rate:g}")
 
     @property
     def fingers(self) -> tuple[str, ...]:
@@ -298,7 +265,12 @@ class Scenario:
         return ("ff", "mf", "rf", "lf", "th") if self.rig is None else tuple(self.rig.fingers)
 
 
-def _in_library(name: str) -> bool:
+def _is_known(name: object) -> bool:
+    """Returns whether a scenario's object is built in, a mesh file, or in the library."""
+    if not isinstance(name, str):
+        return False
+    if name in ("can", "box") or Path(name).suffix.lower() in MESHES:
+        return True
     try:
         Library().entry(name)
     except HandsightError:
@@ -308,7 +280,7 @@ def _in_library(name: str) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipContact:
-    """A `TipContact` is a contact of a fingertip in the simulator: ground truth for tests, unknown to the robot."""
+    """A contact of a fingertip in the simulator: ground truth for tests, unknown to the robot."""
 
     finger: str
     point_palm: Array  # (3,) on the tip's surface [m]
@@ -318,18 +290,19 @@ class TipContact:
     velocity_palm: Array
     """(6,) twist of the other body relative to the tip: velocity of its point there [m/s], angular velocity [rad/s]."""
     torque: float = 0.0  # of the other body on the tip, about the normal [N m]
+    depth: float = 0.0  # by which both overlap, as MuJoCo's contacts are soft [m]
 
     @property
     def speed(self) -> float:
         """Speed at which the other body slips along the tip [m/s]; rotation about the normal counts with an arm of
-        `SCENARIO.torsion`."""
+        `TORSION_ARM`."""
         along = self.velocity_palm[:3] - (self.velocity_palm[:3] @ self.normal_palm) * self.normal_palm
-        return math.hypot(*along, SCENARIO.torsion * (self.velocity_palm[3:] @ self.normal_palm))
+        return math.hypot(*along, TORSION_ARM * (self.velocity_palm[3:] @ self.normal_palm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """A `Sample` is one instant: the robot's observation, and the truth."""
+    """One instant: the robot's observation, and the truth."""
 
     observation: Observation
     T_palm_object: Array  # (4, 4) true

@@ -10,17 +10,19 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra, needing
+from handsight.hand.couplings import Law
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
-from handsight.simulation.hand_in_world import HandInWorld, TipInWorld, hand_of
-from handsight.simulation.scenario import SCENARIO
+from handsight.simulation.hand_in_world import LINKAGE, Follower, HandInWorld, TipInWorld, hand_of
+from handsight.simulation.scenario import OBJECT_MASS, STEPS_PER_SECOND, TORSION_ARM
+from handsight.simulation.tables import tables
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
@@ -35,32 +37,25 @@ FINGERS = ("ff", "mf", "rf", "lf", "th")
 TipErrors = tuple[tuple[float, float], ...]
 
 
-class SceneOptions(NamedTuple):
-    """`SceneOptions` are sizes in the simulated scene."""
-
-    sensor_z: float = 0.002  # of a sensor's frame along its distal link [m]
-    tip_mass: float = 0.004  # of a tip [kg]
-    focal_length: float = 525.0  # of the camera's images, as a Kinect's [pixels]
-    supersampling: int = 2  # factor by which a picture for people is drawn larger, each way, and averaged
-    table_collision_bit: int = 2
-    """Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's
-    edge some millimetres into the table, where a collision would bend the wrist."""
-    hidden_group: int = 5  # group of the geoms that are not drawn
-
-
-SCENE = SceneOptions()
-
+COUPLING, SLACK = 1.142, 0.142
+"""Of the tendon of the last two joints of the Shadow hand's fingers: the ratio by which the last follows the other, and
+by how much it is behind at most [rad]."""
+SENSOR_Z = 0.002
+"""Of a sensor's frame along its distal link [m]."""
+TIP_MASS = 0.004
+"""Of a tip [kg]."""
+FOCAL_LENGTH = 525.0
+"""Of the camera's images, as a Kinect's [pixels]."""
+SUPERSAMPLING = 2
+"""Factor by which a picture for people is drawn larger, each way, and averaged."""
+TABLE_BIT = 2
+"""Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's edge
+some millimetres into the table, where a collision would bend the wrist."""
 GRAVITY = np.array([0.0, 0.0, -9.81])
-UNLOADED = np.array([
-    [0.21, -0.34, 0.12, 0.0021, -0.0013, 0.0008],
-    [-0.15, 0.08, 0.43, -0.0009, 0.0017, -0.0011],
-    [0.32, 0.17, -0.26, 0.0014, 0.0006, 0.0019],
-    [-0.28, 0.24, 0.19, -0.0018, -0.0022, 0.0005],
-    [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
-])  # fmt: skip
+UNLOADED = np.array([tip["unloaded"] for tip in tables()["shadow_tips"].values()])
 """(5, 6) readings of the fingers' sensors without load [N, N m]; the rig's calibration has the same."""
-CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)  # radius, height of the can; sides of the box [m]
-TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))  # first and last coordinate along x, y, z [m]
+CAN_SIZE = tuple[float, float](tables()["can"])  # radius and height [m]
+BOX_SIZE = tuple[float, float, float](tables()["box"])  # sides [m]
 IMAGE_SIZE = (640, 480)  # width and height of the camera's images, a Kinect's [pixels]
 
 
@@ -73,7 +68,7 @@ def stiffness(softness: float) -> dict[str, list[float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScene:
-    """A `SimulatedScene` is a compiled scene, the same for all draws of one object. Its bodies are PALM, `object`, and
+    """A compiled scene, the same for all draws of one object. Its bodies are PALM, `object`, and
     one that ends in `_tip` for each finger."""
 
     model: Any  # mujoco.MjModel, never changed after this
@@ -85,9 +80,8 @@ class SimulatedScene:
 
 def tip_shape(finger: str) -> tuple[Array, float]:
     """Returns the semi-axes (3,) of a fingertip and its centre's z from the sensor's frame [m]."""
-    if finger == "th":
-        return np.array([0.0105, 0.0105, 0.016]), 0.0175 - SCENE.sensor_z
-    return np.array([0.009, 0.009, 0.0145]), 0.0165 - SCENE.sensor_z
+    tip = tables()["shadow_tips"][finger]
+    return np.array(tip["semi_axes"]), tip["height"] - SENSOR_Z
 
 
 def mujoco_module() -> ModuleType:
@@ -99,26 +93,27 @@ def mujoco_module() -> ModuleType:
 @lru_cache(maxsize=8)
 def scene(
     name: str,
-    mass: float = SCENARIO.object_mass,
+    mass: float = OBJECT_MASS,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     friction: float = 1.0,
     pyramidal: bool = False,
     softness: float = 0.0,
     tip_errors: TipErrors = (),
+    coupling_errors: tuple[float, ...] = (),
     rig: Rig | None = None,
 ) -> SimulatedScene:
     """Returns the scene with an object: `name` is `can`, `box`, a mesh file or in the library; and the hand of a
     rig, or the Shadow hand.
 
     The object has that mass [kg], its centre of mass is displaced by `shift` [m]; `friction` and `tip_errors`, of
-    radius and length [m], are the tips'. Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or
-    InvalidObject for a mesh that cannot be used.
+    radius and length [m], are the tips', `coupling_errors` [rad] the coupled joints'. Raises MissingExtra without
+    mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be used.
     """
     mujoco = mujoco_module()
-    spec, hand = _shadow_hand(mujoco) if rig is None else hand_of(rig)
+    spec, hand = _shadow_hand(mujoco) if rig is None else hand_of(rig, coupling_errors)
     spec.option.gravity = GRAVITY
-    spec.option.timestep = 1 / SCENARIO.steps_per_second
+    spec.option.timestep = 1 / STEPS_PER_SECOND
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations, spec.option.tolerance = 100, 1e-10
@@ -129,7 +124,7 @@ def scene(
     _carry(mujoco, spec, hand)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name, softness)
-    if mass != SCENARIO.object_mass or any(shift):
+    if mass != OBJECT_MASS or any(shift):
         # The inertia about the centre of mass is proportional to the mass.
         body, usual = spec.body("object"), scene(name, rig=rig).model.body("object")
         body.explicitinertial, body.mass = True, mass
@@ -166,17 +161,43 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
     for finger, unloaded in zip(FINGERS, UNLOADED, strict=True):
         semi_axes, center_z = tip_shape(finger)
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))
-        spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
-        T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SCENE.sensor_z]))
+        spec.geom(f"robot0:V_{finger}distal").group = 5  # is not drawn
+        T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SENSOR_Z]))
         center = np.array([0.0, 0.0, center_z])
-        link, placed = f"robot0:{finger}distal", (T_link_sensor, se3.compose(np.eye(3), center))
-        tips[finger] = TipInWorld(link, *placed, semi_axes, SCENE.tip_mass, center, unloaded, 1.0)
+        tips[finger] = TipInWorld(
+            link=f"robot0:{finger}distal",
+            T_link_sensor=T_link_sensor,
+            T_sensor_surface=se3.compose(np.eye(3), center),
+            semi_axes=semi_axes,
+            mass=TIP_MASS,
+            center=center,
+            unloaded=unloaded,
+            sign=1.0,
+            pad=np.array(tables()["shadow_tips"][finger]["pad"]),
+            pad_cosine=0.85,
+        )
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
     # Tips that are no neighbours never meet.
     meeting = (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4]))
     joints = tuple(joint.name for joint in spec.joints)
-    return spec, HandInWorld(PALM, mount.name, T_MOUNT_PALM, tips, joints, meeting)
+    tendon = Law([-SLACK, COUPLING])
+    followers = {
+        f"robot0:{finger}J0": Follower(f"robot0:{finger}J1", tendon, least=0.0)
+        for finger in ("FF", "MF", "RF", "LF")
+    }
+    return spec, HandInWorld(
+        palm=PALM,
+        mount=mount.name,
+        T_mount_palm=T_MOUNT_PALM,
+        tips=tips,
+        joints=joints,
+        neighbours=meeting,
+        grips=((4, 0, 1), (4, 0, 1, 2), (4, 0, 1, 2, 3), (4, 0, 1, 2, 3)),
+        grasping=tuple(name for name in joints if name not in followers and "WR" not in name),
+        followers=followers,
+        relaxed=tables()["relaxed"],
+    )
 
 
 def _add_tips(
@@ -188,9 +209,9 @@ def _add_tips(
         semi_axes = of.semi_axes + np.array([wider, wider, longer])
         tip.add_geom(
             name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes, mass=of.mass,
-            contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4, **_placed(of.T_sensor_surface),
-            friction=[friction, SCENARIO.torsion * friction, 0.0001],
-            priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
+            contype=1 | TABLE_BIT, conaffinity=0, condim=4, **_placed(of.T_sensor_surface),
+            friction=[friction, TORSION_ARM * friction, 0.0001],
+            priority=1, margin=0.0, rgba=tables()["drawn"]["tips"],
             **stiffness(softness),
         )  # fmt: skip
         if not np.array_equal(of.center, of.T_sensor_surface[:3, 3]):
@@ -205,9 +226,16 @@ def _add_tips(
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
 
 
+def rows(Ts: Array) -> Array:
+    """Returns positions and quaternions (..., 7) of poses (..., 4, 4); a quaternion's w is first, as in MuJoCo."""
+    xyzw = se3.quaternion_from_rotation(Ts[..., :3, :3])
+    return np.concatenate([Ts[..., :3, 3], np.roll(xyzw, 1, axis=-1)], axis=-1)
+
+
 def _placed(T: Array) -> dict[str, Array]:
-    """Returns position and quaternion of a pose (4, 4), as MuJoCo takes them."""
-    return {"pos": T[:3, 3], "quat": np.roll(se3.quaternion_from_rotation(T[:3, :3]), 1)}
+    """Returns position and quaternion of a pose (4, 4) by their names in MuJoCo."""
+    row = rows(T)
+    return {"pos": row[:3], "quat": row[3:]}
 
 
 def _carry(mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld) -> None:
@@ -220,7 +248,7 @@ def _carry(mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld) -> None:
     data[6] = data[10] = 1.0  # the quaternion's w, and a torque scale of 1
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2=hand.mount,
-        data=data, solref=[0.004, 1.0], solimp=[0.99, 0.999, 0.001, 0.5, 2.0],
+        data=data, **LINKAGE,
     )  # fmt: skip
     # As under a robot's controller, arm and hand are weightless; the tips' weight stays, for sensors measure it.
     for body in spec.bodies:
@@ -230,10 +258,11 @@ def _carry(mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld) -> None:
 
 def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     """Adds table, camera and lights, and sets how they are drawn."""
+    drawn = tables()["drawn"]
     spec.visual.quality.shadowsize = 1024
     spec.visual.quality.offsamples = 0  # smoothing by the driver costs five times as much
-    spec.visual.global_.offwidth = SCENE.supersampling * IMAGE_SIZE[0]
-    spec.visual.global_.offheight = SCENE.supersampling * IMAGE_SIZE[1]
+    spec.visual.global_.offwidth = SUPERSAMPLING * IMAGE_SIZE[0]
+    spec.visual.global_.offheight = SUPERSAMPLING * IMAGE_SIZE[1]
     spec.stat.extent = 1.0  # the unit of the near and the far plane
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
     for texture in list(spec.textures):
@@ -241,30 +270,33 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
             spec.delete(texture)
     spec.add_texture(
         name="background", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=[0.85, 0.87, 0.9], width=64, height=64,
+        **drawn["background"],
     )  # fmt: skip
-    low, high = np.array(TABLE).T
+    low, high = np.array(tables()["table"]).T
     spec.worldbody.add_geom(
         name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(low + high) / 2, size=(high - low) / 2,
-        contype=0, conaffinity=SCENE.table_collision_bit, friction=[0.4, 0.005, 0.0001], priority=1,
-        rgba=[0.85, 0.76, 0.64, 1], **stiffness(0.0),
+        contype=0, conaffinity=TABLE_BIT, friction=[0.4, 0.005, 0.0001], priority=1,
+        rgba=drawn["table"], **stiffness(0.0),
     )  # fmt: skip
-    fovy = float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
+    fovy = float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / FOCAL_LENGTH)))
     spec.worldbody.add_camera(name="camera", fovy=fovy)
-    # All lights together are less than full, or white parts would lose their shape.
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
+    _light(spec.visual.headlight, drawn["headlight"])
     if spec.light("light0") is not None:  # of the Shadow hand's file
-        spec.light("light0").ambient, spec.light("light0").diffuse = [0.0] * 3, [0.25] * 3
-    spec.worldbody.add_light(
-        pos=[-0.5, 0.6, 1.2], dir=[0.35, -0.45, -0.82], diffuse=[0.4] * 3, castshadow=True
-    )
+        _light(spec.light("light0"), drawn["light_of_hand"])
+    spec.worldbody.add_light(**drawn["light"])
+
+
+def _light(light: Any, values: dict[str, list[float]]) -> None:
+    light.ambient = values["ambient"]
+    light.diffuse = values["diffuse"]
 
 
 def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) -> Array:
     """Adds the object and returns its bounds (2, 3) in its own frame [m]."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
-    geometry: dict[str, Any] = {"rgba": [0.75, 0.12, 0.12, 1]}
+    drawn = tables()["drawn"]
+    geometry: dict[str, Any] = {"rgba": drawn["others"]}
     if name == "can":
         radius, height = CAN_SIZE
         bounds = np.outer([-1.0, 1.0], [radius, radius, height / 2])
@@ -272,15 +304,15 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
     elif name == "box":
         bounds = np.outer([-1.0, 1.0], np.array(BOX_SIZE) / 2)
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
-        geometry |= {"rgba": [0.15, 0.45, 0.2, 1]}
+        geometry |= {"rgba": drawn["box"]}
     else:
         vertices, faces = convex_hull(name)
         bounds = np.asarray([vertices.min(axis=0), vertices.max(axis=0)])
         spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
     body.add_geom(
-        name="object", mass=SCENARIO.object_mass, condim=4, friction=[1.0, 0.005, 0.0001],
-        contype=1 | SCENE.table_collision_bit, conaffinity=1, **geometry, **stiffness(softness),
+        name="object", mass=OBJECT_MASS, condim=4, friction=[1.0, 0.005, 0.0001],
+        contype=1 | TABLE_BIT, conaffinity=1, **geometry, **stiffness(softness),
     )  # fmt: skip
     return np.asarray(bounds)
 
@@ -298,10 +330,10 @@ def convex_hull(path: str) -> tuple[Array, Any]:
     from handsight.objects.files import read_shape
 
     shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
-    vertices, name, most = shape.vertices, Path(path).name, SCENARIO.max_extent
+    vertices, name = shape.vertices, Path(path).name
     extent = float(np.ptp(vertices, axis=0).max())
-    if not extent <= most:
-        raise InvalidObject(f"{name}: expected metres, at most {most:g}, got {extent:.3g}")
+    if not extent <= 0.5:  # a larger mesh is not in metres, or fits in no hand
+        raise InvalidObject(f"{name}: expected metres, at most 0.5, got {extent:.3g}")
     if np.linalg.matrix_rank(vertices - vertices[0]) < 3:
         raise InvalidObject(f"{name}: expected a body with a volume, got none")
     hull = trimesh.convex.convex_hull(vertices, qhull_options="Qt")

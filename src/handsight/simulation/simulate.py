@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.hand_in_world import HandInWorld
 from handsight.simulation.motion import Grasp
 from handsight.simulation.robot import rig_of
-from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
+from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, UNLOADED, mujoco_module
 from handsight.simulation.taxels import TaxelSensors
 from handsight.simulation.world import World, tip_errors
@@ -30,16 +31,22 @@ from handsight.vision.depth_noise import PRESETS
 
 
 class Sensors:
-    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario. Constant
+    """Measures joints, wrenches, vision and taxels in a world, with the errors of its scenario. Constant
     errors are drawn at the start, noise at every sample."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""
-        self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
-        seed, n = int(scenario.seed), scenario.nuisances
+        self.scenario = scenario
+        self.world = world
+        self.nuisances = n = scenario.nuisances
+        seed = int(scenario.seed)
         self._constant = constant_errors(n, seed, len(world.scene.joints), world.scene.hand)
-        self._noise, self._vision, self._image_noise = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
-        self._losses, self._jitter, self._wander = (np.random.default_rng((seed, k)) for k in (16, 17, 18))
+        self._noise = np.random.default_rng((seed, 3))
+        self._vision = np.random.default_rng((seed, 5))
+        self._image_noise = np.random.default_rng((seed, 6))
+        self._losses = np.random.default_rng((seed, 16))
+        self._jitter = np.random.default_rng((seed, 17))
+        self._wander = np.random.default_rng((seed, 18))
         self.T_world_scene = self._constant.T_world_scene
         self._T_camera_world = true_camera(scenario)
         self._drift = np.zeros(6)  # of vision, in sigmas
@@ -49,12 +56,15 @@ class Sensors:
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
         self._taxels = TaxelSensors(scenario)
-        self._skin: dict[str, Array] = {}
-        self._wrenches, self._samples = scenario.sensors == "wrench", 0
+        self._samples = 0
         self._angles = list(world.scene.joints.values())
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
-        moving = rig_of(scenario).hand.moving
+        hand = rig_of(scenario).hand
+        self._couplings = hand.couplings
+        moving = {*hand.moving, *hand.needed}
         self._moving = np.array([name in moving for name in world.scene.joints])
+        unmeasured = world.scene.hand.coupled if scenario.joints == "driven" else ()
+        self._measured = np.array([name not in unmeasured for name in world.scene.joints])
 
     def close(self) -> None:
         """Frees the renderer of the images."""
@@ -65,47 +75,66 @@ class Sensors:
         """Returns the observation at the current instant; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
-        n, color, depth, vision, hand = self.nuisances, None, None, None, self.world.scene.hand
-        lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(hand.tips)) < n.message_loss
-        self.lost = bool(lost)
+        n = self.nuisances
+        hand = self.world.scene.hand
+        lost = self._losses.random(3 + len(hand.tips)) < n.message_loss  # joints, vision, image, wrenches
+        self.lost = bool(lost[0])
+        vision = color = depth = None
         T_camera_world = self._T_camera_world @ self._drifted()
         if self._due(10.0):
             off = _errors(n.vision_position, n.vision_rotation, self._vision)
-            vision = PoseMeasurement(se3.moved(T_camera_world @ T_world_object, off), "camera")
+            measured = PoseMeasurement(se3.moved(T_camera_world @ T_world_object, off), "camera")
+            vision = None if lost[1] else measured
         if self._renderer is not None and self._due(30.0):
             T_scene_camera = se3.inverse(T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
             depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
-        if self._taxels.surfaces and (not self._skin or self._due(self._taxels.product.rate)):
-            self._skin = self._taxels.readings(self.world)
+            if lost[2]:
+                color = depth = None
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
         joints = self.world.data.qpos[self._angles] + self._constant.joint_offsets - self._deflections()
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
-        errors = self._constant.bias + self._constant.drift * self.world.time
-        errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(hand.tips))
-        true = [of.sign * self.world.reading(finger) for finger, of in hand.tips.items()]
-        loads = self._constant.gains * true
-        play = np.repeat([n.force_backlash, n.torque_backlash], 3)
-        self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
-        wrenches = zip(hand.tips, self._loads + errors, no_wrench, strict=True)
+        positions = dict(zip(self.world.scene.joints, joints.tolist(), strict=True))
+        wrenches = dict(zip(hand.tips, self._read_wrenches(), strict=True))
+        received = [finger for finger, gone in zip(hand.tips, lost[3:], strict=True) if not gone]
+        if self.scenario.sensors != "wrench":
+            received = []
         late = min(n.stamp_jitter, 0.9 / self.scenario.rate) * self._jitter.random()
         return Observation(
             stamp=self.world.time + late,
-            joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost and self._wrenches},
-            vision=None if no_vision else vision,
+            joint_positions=dict(compress(positions.items(), self._measured)),
+            wrenches={finger: wrenches[finger] for finger in received},
+            vision=vision,
             T_world_palm=self.T_world_scene @ self.world.pose(hand.palm),
-            color=None if no_image else color,
-            depth=None if no_image else depth,
-            skin=self._skin,
+            color=color,
+            depth=depth,
+            skin=self._taxels.readings(self.world),
         )
 
     def sample(self) -> Sample:
         """Returns the observation and the truth at the current instant; the world must have been refreshed."""
-        world, observation = self.world, self.observe()
-        truth = world.T_palm_object(), self.T_world_scene @ world.pose("object"), world.tip_contacts()
-        return Sample(observation, *truth, world.phase, world.dropped(), world.data.qpos.copy())
+        return Sample(
+            observation=self.observe(),
+            T_palm_object=self.world.T_palm_object(),
+            T_world_object=self.T_world_scene @ self.world.pose("object"),
+            contacts_truth=self.world.tip_contacts(),
+            phase=self.world.phase,
+            dropped=self.world.dropped(),
+            configuration=self.world.data.qpos.copy(),
+        )
+
+    def _read_wrenches(self) -> Array:
+        """Returns the readings (n, 6) of the fingers' force/torque sensors [N, N m]."""
+        n = self.nuisances
+        tips = self.world.scene.hand.tips
+        errors = self._constant.bias + self._constant.drift * self.world.time
+        errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(tips))
+        loads = self._constant.gains * [of.sign * self.world.reading(finger) for finger, of in tips.items()]
+        play = np.repeat([n.force_backlash, n.torque_backlash], 3)
+        last = loads if self._loads is None else self._loads
+        self._loads = np.clip(last, loads - play, loads + play)
+        return np.asarray(self._loads + errors)
 
     def _drifted(self) -> Array:
         """Returns the wandering part of vision's error at this observation, a motion (4, 4) in the world."""
@@ -113,8 +142,8 @@ class Sensors:
         passed = 1 / (self.scenario.rate * n.vision_drift_time) if n.vision_drift_time else np.inf
         kept = np.exp(-passed) if self._samples else 0.0
         self._drift = kept * self._drift + np.sqrt(1 - kept**2) * self._wander.normal(size=6)
-        shift, rotation = n.vision_drift_position * self._drift[:3], n.vision_drift_rotation * self._drift[3:]
-        return moved_about_target(shift, rotation)
+        shift = n.vision_drift_position * self._drift[:3]
+        return moved_about_target(shift, n.vision_drift_rotation * self._drift[3:])
 
     def _due(self, per_second: float) -> bool:
         """Returns whether this sample has a measurement that comes at a rate [1/s]."""
@@ -126,24 +155,35 @@ class Sensors:
         found = np.zeros(len(self.world.scene.joints))
         if self.nuisances.tip_compliance == 0:
             return found
-        model, data = self.world.scene.model, self.world.data
+        model = self.world.scene.model
+        follow = self._follow()
         for finger, of in self.world.scene.hand.tips.items():
             T = self.world.pose(f"{finger}_tip")
             force = -T[:3, :3] @ self.world.reading(finger)[:3] - of.mass * GRAVITY
             center = (T @ of.T_sensor_surface)[:3, 3]
             jacobian = np.zeros((3, model.nv))
-            mujoco_module().mj_jac(model, data, jacobian, None, center, model.body(f"{finger}_tip").id)
-            own = np.flatnonzero(self._moving & jacobian[:, self._dofs].any(axis=0))
-            J = jacobian[:, self._dofs[own]]
+            mujoco_module().mj_jac(
+                model, self.world.data, jacobian, None, center, model.body(f"{finger}_tip").id
+            )
+            by_joint = jacobian[:, self._dofs] @ follow
+            own = np.flatnonzero(self._moving & self._measured & by_joint.any(axis=0))
+            J = by_joint[:, own]
             # Damped by 1 mm, else a stretched finger would turn far to move its tip along itself.
             gram = J @ J.T + 1e-6 * np.eye(3)
             found[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return found
 
+    def _follow(self) -> Array:
+        """Returns the derivative (n, n) of the joints' positions by those that are measured."""
+        names = list(self.world.scene.joints)
+        angles = self.world.data.qpos[self._angles].tolist()
+        measured = dict(compress(zip(names, angles, strict=True), self._measured))
+        return self._couplings.changes(names, measured)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConstantErrors:
-    """`ConstantErrors` are what a robot's sensors and its rig have wrong all the time, as drawn: truth for tests."""
+    """What a robot's sensors and its rig have wrong all the time, as drawn: truth for tests."""
 
     joint_offsets: Array
     """(n,) of the joints' readings [rad], or [m] of a slide."""
@@ -170,7 +210,8 @@ def constant_errors(
     """
     fingers = FINGERS if hand is None else tuple(hand.tips)
     unloaded = UNLOADED if hand is None else np.array([tip.unloaded for tip in hand.tips.values()])
-    n, rng = nuisances, np.random.default_rng((seed, 2))
+    n = nuisances
+    rng = np.random.default_rng((seed, 2))
     offsets = n.joint_offset * rng.normal(size=joints)
     bias = unloaded + _errors(n.force_bias, n.torque_bias, rng, len(fingers)) + tip_biases(n, seed, fingers)
     drift = _errors(n.force_drift, n.torque_drift, rng, len(fingers))
@@ -233,8 +274,9 @@ def simulate_each(
     for k, variant in enumerate(variants):
         if not variant.shares_world(scenario.nuisances):
             raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
-    known = {"skin": scenario.skin, "rig": scenario.rig}
-    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), **known))
+    if grasp is None:
+        grasp = grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig)
+    world = World(scenario, grasp)
     sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
     yield from samples(scenario, world, sensors, progress)
 
@@ -246,8 +288,8 @@ def samples(
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[Sample | None, ...]]:
     """Yields samples of a world at the scenario's rate, as `simulate_each`; closes the sensors at the end."""
-    every = round(SCENARIO.steps_per_second / scenario.rate)
-    steps = round(world.duration * SCENARIO.steps_per_second)
+    every = round(STEPS_PER_SECOND / scenario.rate)
+    steps = round(world.duration * STEPS_PER_SECOND)
     with ExitStack() as stack:
         for each in sensors:
             stack.enter_context(closing(each))
@@ -260,7 +302,7 @@ def samples(
             if world.thrown():
                 when = f"after {world.time:.1f} s"
                 raise InvalidObject(f"object: the simulator threw it away {when}, not the hand")
-            found = ((each.sample(), each.lost) for each in sensors)
-            yield tuple(None if lost else sample for sample, lost in found)
+            found = [each.sample() for each in sensors]
+            yield tuple(None if each.lost else sample for each, sample in zip(sensors, found, strict=True))
             if progress is not None:
                 progress(step / steps)

@@ -3,10 +3,9 @@
 One finger of the hand is stretched, and its tip is swept along lines over the table.
 """
 
-import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,57 +17,48 @@ from handsight.errors import InvalidInput, NotFound
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig, Table
-from handsight.search import Area, Belief, Sweep, Touch, best_sweep, open_text, with_symmetries_of_touch
+from handsight.search import Area, Belief, Sweep, Touch, best_sweep, with_symmetries_of_touch
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import model_of, rig_of
-from handsight.simulation.scenario import SCENARIO, Nuisances, Phase, Sample, Scenario
-from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
+from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Phase, Sample, Scenario
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, rows, scene
 from handsight.simulation.simulate import Sensors, samples
-from handsight.simulation.world import World, rows
+from handsight.simulation.tables import tables
+from handsight.simulation.world import World
 from handsight.tracking import FingertipSensors
 
 FINGER = "ff"  # the stretched finger
 
 
-class ProbeOptions(NamedTuple):
-    """`ProbeOptions` say how a finger searches the table and the object."""
-
-    reach: float = 0.06
-    """How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
-    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean."""
-    levels: int = 4  # heights of sweeps that are compared
-    radius: float = 0.009  # of the tip's sides [m]
-    sigma_relative: float = 0.0005  # of the tip's height at one place relative to that at another [m]
-    sigma: float = 0.0025  # of the tip's position, per axis [m]: a degree at each joint of the finger
-    lean: float = float(np.deg2rad(12.0))
-    """Angle of the finger from the vertical, its tip ahead, so that the tip is first to meet a wall [rad]."""
-    sweep_speed: float = 0.06  # of the tip in a sweep [m/s]
-    travel_speed: float = 0.4  # of the tip elsewhere [m/s]
-    turn_speed: float = 3.0  # of the hand as it turns [rad/s]
-    acceleration_time: float = 0.1
-    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which would pass for a contact."""
-    stop_force: float = 0.15  # at which a sweep ends [N]
-    dwell: float = 0.15  # how long the hand rests at a contact [s]
-    readings: int = 10  # readings whose mean is the contact's wrench
-    retreat: float = 0.015  # how far the tip moves back from a contact [m]
-    travel_height: float = 0.05  # of the tip above the object on its way over the table [m]
-    free_spacing: float = 0.005  # between positions where the tip met nothing [m]
-    min_height: float = 0.022
-    """Least height of the tip's middle above the table [m]; the table is known to some millimetres and a degree."""
-    top_margin: float = 0.012  # of the tip's middle below the object's top [m]
-    table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
-    table_unevenness: float = 0.015
-    """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
-    the table's edge."""
-    start_height: float = 0.5  # of the palm at first above the object's middle [m]
-
-
-PROBE = ProbeOptions()
+REACH = 0.06
+"""How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
+finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean."""
+TIP_RADIUS = 0.009
+"""Of the tip's sides [m]."""
+SIGMA_TIP = 0.0025
+"""Of the tip's position, per axis [m]: a degree at each joint of the finger."""
+SIGMA_HEIGHT = 0.0005
+"""Of the tip's height at one place relative to that at another [m]."""
+LEAN = math.radians(12.0)
+"""Angle of the finger from the vertical, its tip ahead, so that the tip is first to meet a wall [rad]."""
+SPEED = 0.06
+"""Of the tip in a sweep [m/s]."""
+ACCELERATION_TIME = 0.1
+"""How long the tip takes to reach its speed [s]: a sudden start shakes it, which would pass for a contact."""
+STOP_FORCE = 0.15
+"""At which a sweep ends [N]."""
+MIN_HEIGHT = 0.022
+"""Least height of the tip's middle above the table [m]; the table is known to some millimetres and a degree."""
+TABLE_START = 0.05
+"""Height above the expected table at which the tip starts to search for it [m]."""
+TABLE_UNEVENNESS = 0.015
+"""Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with the
+table's edge."""
 
 
 class Probe(World):
-    """A `Probe` is the hand above the table, one finger stretched; the object stands free at the scene's origin."""
+    """The hand above the table, one finger stretched; the object stands free at the scene's origin."""
 
     def __init__(
         self, scenario: Scenario, R_scene_object: Array, T_world_table: Array, *, recording: bool = False
@@ -83,15 +73,14 @@ class Probe(World):
         self._tip_index = list(rig.hand.tips).index(FINGER)
         self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
         R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
-        low, high = np.array(scene(scenario.object).bounds_object)
-        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) @ R_scene_object.T
-        # The other fingers make a fist [rad].
-        fist = {f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)}
-        fist |= {"robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5}
-        below = R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
+        low, high = scene(scenario.object).bounds_object
+        self.top = float(np.abs(R_scene_object[2]) @ (high - low))
+        """Height of the object above the table [m]."""
+        below = R_world_palm.T @ [0.0, 0.0, -0.5]
         T_palm_middle = se3.compose(R_world_palm.T @ R_scene_object, below)
-        height = float(np.ptp(corners[:, 2])) / 2
-        grasp = Grasp(T_palm_middle, opening=fist, closed={}, height=height, R_world_palm=R_world_palm)
+        grasp = Grasp(
+            T_palm_middle, opening=tables()["fist"], closed={}, height=self.top / 2, R_world_palm=R_world_palm
+        )
         super().__init__(replace(scenario, motion="grasp", images=False), grasp)
         self._hold_object(self._start)
         self.refresh()
@@ -99,10 +88,9 @@ class Probe(World):
         certain = replace(scenario.nuisances, message_loss=0.0)
         self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
-        self.top = float(np.ptp(corners[:, 2]))  # height of the object above the table [m]
         self._on_table = False
         self._recording, self.recorded = recording, list[Sample]()
-        self._every = round(SCENARIO.steps_per_second / scenario.rate)
+        self._every = round(STEPS_PER_SECOND / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
 
     @property
@@ -118,8 +106,8 @@ class Probe(World):
     @property
     def heights(self) -> Array:
         """(n,) middles of the tip above the table at which it alone meets the object, the lowest first [m]."""
-        lowest = max(PROBE.min_height, self.top - PROBE.reach)
-        return np.linspace(lowest, max(lowest, self.top - PROBE.top_margin), PROBE.levels)
+        lowest = max(MIN_HEIGHT, self.top - REACH)
+        return np.linspace(lowest, max(lowest, self.top - 0.012), 4)
 
     def measure_table(self, places: ArrayLike) -> tuple[float, Array]:
         """Returns the table's height along its normal [m], and its axes R_world_table (3, 3), by touching it.
@@ -128,9 +116,9 @@ class Probe(World):
         """
         found = []
         for x, y in np.atleast_2d(places):
-            begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, PROBE.table_start]))
+            begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, TABLE_START]))
             self._travel(begin)
-            down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
+            down = _distances(2 * TABLE_START)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, down)):
                 sensed = self._tips.contacts(sample.observation)
                 if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
@@ -143,9 +131,9 @@ class Probe(World):
             came = f"touched nothing at any of {len(np.atleast_2d(places))}"
             raise InvalidInput(f"places: expected some over the table, {came}")
         points = np.array(found)
-        points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
+        points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < TABLE_UNEVENNESS]
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
-        prior = PROBE.sigma_relative / Nuisances().table_tilt
+        prior = SIGMA_HEIGHT / Nuisances().table_tilt
         rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
         height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
         R_world_table = se3.axes_along(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
@@ -162,28 +150,28 @@ class Probe(World):
             if contact is not None or self._on_table:
                 break
             tip = self._tip(sample.observation)[:3, 3]
-            if not free or np.linalg.norm(tip - free[-1]) >= PROBE.free_spacing:
+            if not free or np.linalg.norm(tip - free[-1]) >= 0.005:
                 free.append(tip)
         if contact is not None:
             # The mean wrench of a hand at rest is more accurate, unless the contact is lost.
-            resting = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
-            last = [sample.observation for sample in self._along(resting)][-PROBE.readings :]
+            resting = np.tile(self._T_world_palm, (round(0.15 * STEPS_PER_SECOND), 1, 1))
+            last = [sample.observation for sample in self._along(resting)][-10:]
             mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
             contact = self._sensed_contact(replace(last[-1], wrenches={FINGER: mean})) or contact
-        back = PROBE.retreat if contact is not None else 0.0
+        back = 0.015 if contact is not None else 0.0
         self._straight(_shifted(self._T_world_palm, -back * sweep.direction_world))
-        return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
+        return Touch(np.array(free).reshape(-1, 3), TIP_RADIUS, SIGMA_TIP, contact)
 
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
-        """Returns the contact of the stretched finger in the world; None where its force is below `stop_force`."""
+        """Returns the contact of the stretched finger in the world; None where its force is below `STOP_FORCE`."""
         sensed = self._tips.contacts(observation)
         self._on_table = sensed.reasons.get(FINGER) == "on the table"
         if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
         k = sensed.fingers.index(FINGER)
-        if np.linalg.norm(sensed.loads[k, :4]) < PROBE.stop_force:
+        if np.linalg.norm(sensed.loads[k, :4]) < STOP_FORCE:
             return None
-        return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
+        return sensed.contacts.select([k]).moved(np.asarray(observation.T_world_palm))
 
     def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
         """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next. Unless
@@ -202,7 +190,7 @@ class Probe(World):
 
     def _travel(self, T_goal: Array) -> None:
         """Moves up, over the table and down to a palm pose (4, 4)."""
-        safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
+        safe = self.top + 0.05 - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
         up[2, 3] = max(up[2, 3], T_goal[2, 3] + safe)
         over = T_goal.copy()
@@ -214,15 +202,15 @@ class Probe(World):
         """Moves the palm straight to a pose (4, 4), at rest at both ends."""
         T_begin = self._T_world_palm
         way = se3.difference(T_goal, T_begin)
-        seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
-        s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
+        seconds = np.linalg.norm(way[:3]) / 0.4 + np.linalg.norm(way[3:]) / 3.0
+        s = np.linspace(0, 1, max(round(seconds * STEPS_PER_SECOND), 1) + 1)[1:, None]
         for _ in self._along(se3.moved(T_begin, least_jerk(s) * way), needed=False):
             pass
 
     def _turned(self, direction_world: Array) -> Array:
         """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
-        down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
+        down = np.sin(LEAN) * direction_world - np.cos(LEAN) * np.array([0.0, 0.0, 1.0])
         return se3.axes_along(down, direction_world) @ se3.axes_along(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
@@ -231,8 +219,8 @@ class Probe(World):
 
     def _tip(self, observation: Observation) -> Array:
         """Returns T_world_tip (4, 4) of the stretched finger's tip as the robot measures it."""
-        T_world_palm, joints = _palm_and_joints(observation)
-        return np.asarray(T_world_palm @ self._finger_in_palm(joints))
+        T_palm_tip = self._finger_in_palm(observation.joint_positions or {})
+        return np.asarray(np.asarray(observation.T_world_palm) @ T_palm_tip)
 
     def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
         """Returns T_palm_tip (4, 4) of the stretched finger at joints [rad]; its origin is the tip's middle."""
@@ -240,17 +228,10 @@ class Probe(World):
         return np.asarray(T_palm_frame @ self._finger.T_frame_surface)
 
 
-def _palm_and_joints(observation: Observation) -> tuple[Array, Mapping[str, float]]:
-    """Returns T_world_palm (4, 4) and joints [rad], which all observations of the simulation have."""
-    if observation.T_world_palm is None or observation.joint_positions is None:
-        raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
-    return observation.T_world_palm, observation.joint_positions
-
-
 def _distances(length: float) -> Array:
     """Returns the tip's distance (n,) from the start of a sweep after each step of the simulation [m]."""
-    speed, rise = PROBE.sweep_speed, PROBE.acceleration_time
-    t = np.arange(0.0, length / speed + rise / 2, 1 / SCENARIO.steps_per_second)
+    speed, rise = SPEED, ACCELERATION_TIME
+    t = np.arange(0.0, length / speed + rise / 2, 1 / STEPS_PER_SECOND)
     return np.asarray(speed * np.where(t < rise, t**2 / (2 * rise), t - rise / 2))
 
 
@@ -259,15 +240,10 @@ def _shifted(T: Array, shift: Array) -> Array:
     return np.asarray(se3.compose(T[:3, :3], T[:3, 3] + shift))
 
 
-class TouchSearchOptions(NamedTuple):
-    """`TouchSearchOptions` configure the search for an object on a table by touch."""
-
-    area_side: float = 0.3  # of the square that contains the object [m]
-    max_touches: int = 12  # before the search gives up
-
-
-TOUCH_SEARCH = TouchSearchOptions()
-
+AREA_SIDE = 0.3
+"""Of the square that contains the object [m]."""
+MAX_TOUCHES = 12
+"""Before the search gives up."""
 TABLE_PROBES = np.kron([[0.2], [0.32]], [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 """(8, 2) places outside the searched square where the table is touched [m]. Some may be beside it: the table ends near
 the object."""
@@ -292,18 +268,18 @@ def start_search(
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
     seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
-    half = TOUCH_SEARCH.area_side / 2 - min(sides[:2]) / 2
+    half = AREA_SIDE / 2 - min(sides[:2]) / 2
     if not half > 0:
-        size, most = " x ".join(f"{1000 * side:.0f}" for side in sides), 1000 * TOUCH_SEARCH.area_side
+        size, most = " x ".join(f"{1000 * side:.0f}" for side in sides), 1000 * AREA_SIDE
         raise InvalidInput(f"object: expected one within {most:.0f} mm, got {size} mm")
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    sigma_height, sigma_tilt = 0.0015, float(np.deg2rad(0.5))
+    sigma_height, sigma_tilt = 0.0015, math.radians(0.5)
     table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
-    return probe, Belief(with_symmetries_of_touch(model, PROBE.sigma), area, seed)
+    return probe, Belief(with_symmetries_of_touch(model, SIGMA_TIP), area, seed)
 
 
 def simulate_touch_search(
@@ -315,7 +291,7 @@ def simulate_touch_search(
     with its covariance, as vision's. The hand's way from there to the object is not simulated. `grasp` replaces the
     object's own, or the one that is searched. `watch` is called before the first touch and after each one, with the
     belief and the object's true pose T_world_object (4, 4). Raises as `simulate`, and NotFound where
-    `TOUCH_SEARCH.max_touches` are too few.
+    `MAX_TOUCHES` are too few.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
@@ -323,9 +299,10 @@ def simulate_touch_search(
     watch = watch or (lambda *_: None)
     watch(belief, probe.T_world_object)
     while not belief.modes[0].is_certain:
-        if len(belief.touches) == TOUCH_SEARCH.max_touches:
-            raise NotFound(f"the object was not found by {len(belief.touches)} touches: {open_text(belief)}")
-        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
+        if len(belief.touches) == MAX_TOUCHES:
+            known = f"its position is known to {1e3 * belief.modes[0].sigma_position:.0f} mm"
+            raise NotFound(f"the object was not found by {len(belief.touches)} touches: {known}")
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, TIP_RADIUS)))
         yield from probe.recorded
         probe.recorded.clear()
         watch(belief, probe.T_world_object)

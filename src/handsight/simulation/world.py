@@ -6,49 +6,61 @@ The object has its mass, and forces on it that no sensor of the hand measures.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
+from handsight.rig import Rig
 from handsight.simulation.hand_in_world import servo_name
-from handsight.simulation.motion import LEGS, MOTION, PULLED, WEIGH_LEGS, Grasp, palm_poses, perturbed
-from handsight.simulation.scenario import SCENARIO, Nuisances, Phase, Profile, Scenario, TipContact
-from handsight.simulation.scene import PALM_GEOM, SimulatedScene, TipErrors, mujoco_module, scene
+from handsight.simulation.motion import (
+    AT_REST,
+    CLOSED_AT,
+    FREE_AT,
+    LEGS,
+    MOVES_AT,
+    Grasp,
+    palm_poses,
+    perturbed,
+)
+from handsight.simulation.scenario import (
+    OBJECT_MASS,
+    STEPS_PER_SECOND,
+    Nuisances,
+    Phase,
+    Profile,
+    Scenario,
+    TipContact,
+)
+from handsight.simulation.scene import (
+    PALM,
+    PALM_GEOM,
+    SimulatedScene,
+    TipErrors,
+    mujoco_module,
+    rows,
+    scene,
+)
 
 if TYPE_CHECKING:
     from mujoco import MjData
 
 
-class PullOptions(NamedTuple):
-    """`PullOptions` describe a pull at the object, as by a person who lets go once it has slipped."""
-
-    begin: float = 3.4  # when `motion.PULLED` has the object lifted and at rest [s]
-    duration: float = 3.0  # of the pull [s]
-    step: float = 0.5  # duration of a step of the force [s]
-    rise: float = 0.05  # how long the force takes to rise to a step [s]
-    frequency: float = 1.5  # of a sine [1/s]
-    jerk: float = 0.06  # duration of a jerk; one begins with each step [s]
-    creep: float = 0.1  # factor on the speed at which a creeping pull no longer follows the object
-    min_speed: float = 0.03
-    """Smallest draw of the speed along the tips at which the pull no longer follows the object [m/s]."""
-    max_speed: float = 0.1  # largest draw of that speed [m/s]
-    flying_speed: float = 0.3  # speed of the object, in any direction, that also ends the pull [m/s]
-    min_travel: float = 0.005  # smallest draw of how far the object slips before it is let go [m]
-    max_travel: float = 0.02  # largest draw of that distance [m]
-    normal_share: float = 0.03
-    """Variance of the pull's direction across all tips, relative to that along all of them: it pulls along the surfaces
-    of the tips, not off them."""
-
-
-PULL = PullOptions()
+PULL_BEGIN = 3.4
+"""When the object is lifted and at rest in the motion `pull` [s]."""
+PULL_DURATION = 3.0
+"""Of the pull at the object, as by a person who lets go once it has slipped [s]."""
+PULL_STEP = 0.5
+"""Duration of a step of the force [s]."""
+PULL_JERK = 0.06
+"""Duration of a jerk; one begins with each step [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """A `Payload` is the scene with the scenario's mass and centre of mass, and the constant loads on its object."""
+    """The scene with the scenario's mass and centre of mass, and the constant loads on its object."""
 
     scene: SimulatedScene
     force_palm: Array  # (3,) on the object, which no sensor measures [N]
@@ -59,19 +71,27 @@ class Payload:
     @classmethod
     def of(cls, scenario: Scenario) -> "Payload":
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
-        n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
-        off, force = rng.normal(size=3), rng.normal(size=3)
-        errors = tip_errors(n, int(scenario.seed), scenario.fingers)
-        touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
-        touch |= {"softness": float(n.contact_softness), "tip_errors": errors, "rig": scenario.rig}
+        n = scenario.nuisances
+        rng = np.random.default_rng((int(scenario.seed), 10))
+        off = rng.normal(size=3)
+        force = rng.normal(size=3)
+        touch: dict[str, Any] = {
+            "friction": float(n.friction),
+            "pyramidal": bool(n.pyramidal_friction),
+            "softness": float(n.contact_softness),
+            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
+            "coupling_errors": coupling_errors(n, int(scenario.seed), scenario.rig),
+            "rig": scenario.rig,
+        }
         usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
         # The underside is the lower end of the object's z axis, which is vertical when it is grasped.
-        base = np.array([*((low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low))[:2], low[2]])
-        mass = n.object_mass or SCENARIO.object_mass
-        if mass != SCENARIO.object_mass or n.object_off_center:
+        base = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
+        base[2] = low[2]
+        mass = n.object_mass or OBJECT_MASS
+        if mass != OBJECT_MASS or n.object_off_center:
             most = (high - low) / 3
             shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
             usual = scene(scenario.object, mass, tuple(shift.tolist()), **touch)
@@ -81,12 +101,14 @@ class Payload:
         """Applies the unsensed force and the support to the object for the next step."""
         if not self.force_palm.any() and not self.support:
             return
-        palm, body = data.body(self.scene.hand.palm), data.body("object")
-        R = body.xmat.reshape(3, 3)
-        forces = palm.xmat.reshape(3, 3) @ self.force_palm, np.array([0.0, 0.0, self.support])
-        levers = (R @ point + body.xpos - body.xipos for point in (self.point_object, self.base_object))
-        torque = sum(np.cross(lever, force) for lever, force in zip(levers, forces, strict=True))
-        body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
+        palm = data.body(self.scene.hand.palm)
+        body = data.body("object")
+        force = palm.xmat.reshape(3, 3) @ self.force_palm
+        support = np.array([0.0, 0.0, self.support])
+        point, base = np.stack([self.point_object, self.base_object]) @ body.xmat.reshape(3, 3).T
+        center = body.xipos - body.xpos
+        body.xfrc_applied[:3] = force + support
+        body.xfrc_applied[3:] = np.cross(point - center, force) + np.cross(base - center, support)
 
 
 def tip_errors(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> TipErrors:
@@ -95,46 +117,55 @@ def tip_errors(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> TipEr
     return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
 
 
+def coupling_errors(nuisances: Nuisances, seed: int, rig: Rig | None) -> tuple[float, ...]:
+    """Returns by how much each coupled joint of a rig's hand is off its law [rad]."""
+    count = 0 if rig is None else len(rig.hand.couplings.laws)
+    draws = np.random.default_rng((seed, 21)).normal(size=count)
+    return tuple((nuisances.coupled_joint * draws).tolist())
+
+
 class Pull:
-    """A `Pull` draws the direction, speed and distance of one pull; `wrench` gives its load on the object over time."""
+    """The direction, speed and distance of one pull; `wrench` gives its load on the object over time."""
 
     def __init__(self, scenario: Scenario, normals_palm: Array) -> None:
         """Draws by the scenario's seed; `normals_palm` (n, 3) are those of the tips' contacts with the object."""
         rng = np.random.default_rng((int(scenario.seed), 11))
         direction, axis = rng.normal(size=(2, 3))
         across = normals_palm.T @ normals_palm / max(len(normals_palm), 1)
-        direction = np.linalg.solve(np.linalg.cholesky(across + PULL.normal_share * np.eye(3)).T, direction)
+        # Rarely across all tips: it pulls along their surfaces, not off them.
+        direction = np.linalg.solve(np.linalg.cholesky(across + 0.03 * np.eye(3)).T, direction)
         self._force = scenario.nuisances.pull_force * direction / np.linalg.norm(direction)
         self._torque = scenario.nuisances.pull_torque * axis / np.linalg.norm(axis)
-        self._max_speed = rng.uniform(PULL.min_speed, PULL.max_speed)
-        self._max_speed *= PULL.creep if scenario.motion == "creep" else 1.0
-        self._max_travel = rng.uniform(PULL.min_travel, PULL.max_travel)
-        self._profile, self._slipped = scenario.motion, 0.0
+        creep = 0.1 if scenario.motion == "creep" else 1.0
+        self._max_speed = creep * rng.uniform(0.03, 0.1)  # at which it no longer follows the object [m/s]
+        self._max_travel = rng.uniform(0.005, 0.02)  # of the object until it is let go [m]
+        self._profile = scenario.motion
+        self._slipped = 0.0
 
     def wrench(self, time: float, slip_speed: float, speed: float) -> Array:
         """Returns force [N] and torque [N m], (6,) along the palm's axes, for the simulator's next step. `slip_speed`
         is how fast the object slips along the tips, `speed` how fast it moves at all [m/s]."""
-        since = time - PULL.begin
-        self._slipped += slip_speed / SCENARIO.steps_per_second
-        if not 0 <= since <= PULL.duration or self._slipped > self._max_travel:
+        since = time - PULL_BEGIN
+        self._slipped += slip_speed / STEPS_PER_SECOND
+        if not 0 <= since <= PULL_DURATION or self._slipped > self._max_travel:
             return np.zeros(6)
         # The pull fades as the object gets away from it.
-        share = max(0.0, 1 - max(slip_speed / self._max_speed, speed / PULL.flying_speed) ** 4)
+        share = max(0.0, 1 - max(slip_speed / self._max_speed, speed / 0.3) ** 4)
         return share * pull_share(self._profile, since) * np.concatenate([self._force, self._torque])
 
 
 def pull_share(profile: str, since: float) -> float:
     """Returns the strength of a pull as a share of its greatest force, at a time after its beginning [s]."""
-    share = since / PULL.duration
-    steps, within = divmod(since, PULL.step)
+    share = since / PULL_DURATION
+    steps, within = divmod(since, PULL_STEP)
     if profile in ("ramp", "creep"):
         return share
     if profile == "steps":
-        return min(1.0, (steps + min(within / PULL.rise, 1.0)) * PULL.step / PULL.duration)
+        return min(1.0, (steps + min(within / 0.05, 1.0)) * PULL_STEP / PULL_DURATION)
     if profile == "jerks":
-        height = min(1.0, (steps + 1) * PULL.step / PULL.duration)
-        return height * math.sin(math.pi * within / PULL.jerk) ** 2 if within < PULL.jerk else 0.0
-    return share * (1 - math.cos(2 * math.pi * PULL.frequency * since)) / 2
+        height = min(1.0, (steps + 1) * PULL_STEP / PULL_DURATION)
+        return height * math.sin(math.pi * within / PULL_JERK) ** 2 if within < PULL_JERK else 0.0
+    return share * (1 - math.cos(2 * math.pi * 1.5 * since)) / 2
 
 
 def pulls(motion: str) -> bool:
@@ -142,75 +173,82 @@ def pulls(motion: str) -> bool:
     return motion in get_args(Profile)
 
 
+MAX_DEPTH = 0.003
+"""By which hand and object, or tips and table, overlap at most when the hand is open [m]; with more they do not fit."""
 FLYING_SPEED = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
 FLOOR = -1.0  # height on which a dropped object comes to rest [m]
 
 
 class World:
-    """A `World` is one random draw of a scenario, which `step` simulates onward."""
+    """One random draw of a scenario, which `step` simulates onward."""
 
     def __init__(self, scenario: Scenario, grasp: Grasp) -> None:
         """Begins at time 0: the hand is open and still, the object stands on the table, held in place. Raises
-        InvalidObject where hand and object overlap."""
+        InvalidObject where hand and object overlap, or tips and table."""
         self._mujoco = mujoco_module()
+        self._scenario = scenario
         self._load = Payload.of(scenario)
         self.scene = self._load.scene
         self.data: Any = self._mujoco.MjData(self.scene.model)
-        low, high = self.scene.bounds_object
-        middle = np.array([0.0, 0.0, grasp.height])
         self._grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
-        T_world_middle = se3.compose(grasp.R_world_palm @ grasp.T_palm_middle[:3, :3], middle)
-        T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
-        T_world_palm = T_world_middle @ se3.inverse(self._grasp.T_palm_middle)
-        self._moves = scenario.motion != "grasp"
-        self._scenario, self._pulled = scenario, pulls(scenario.motion)
+        self._pulled = pulls(scenario.motion)
         self._pull: Pull | None = None
-        moves = {"grasp": LEGS[:1], "manipulate": LEGS, "weigh": WEIGH_LEGS}
-        legs = moves.get(scenario.motion, PULLED)
-        self.duration = MOTION.at_rest + float(legs[:, 0].sum())
-        times = np.arange(round(self.duration * SCENARIO.steps_per_second) + 1) / SCENARIO.steps_per_second
-        Ts_world_palm = palm_poses(legs, times - MOTION.at_rest, T_world_palm, middle)
-        self._arm = rows(Ts_world_palm @ se3.inverse(self.scene.hand.T_mount_palm))
-        self._start = rows((T_world_middle @ T_middle_object)[None])[0]
-        self.steps = 0
         self._closed = 0.0
         self._T_palm_object_freed: Array | None = None
+        self.steps = 0
+        low, high = self.scene.bounds_object
+        middle = np.array([0.0, 0.0, grasp.height])
+        T_world_middle = se3.compose(grasp.R_world_palm @ grasp.T_palm_middle[:3, :3], middle)
+        T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
+        self._start = rows(T_world_middle @ T_middle_object)
+        legs = LEGS["pull" if self._pulled else scenario.motion]
+        self.duration = AT_REST + float(legs[:, 0].sum())
+        times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
+        T_world_palm = T_world_middle @ se3.inverse(self._grasp.T_palm_middle)
+        Ts_world_palm = palm_poses(legs, times - AT_REST, T_world_palm, middle)
+        self._arm = rows(Ts_world_palm @ se3.inverse(self.scene.hand.T_mount_palm))
+        self._open_hand()
+        touching = [*self.object_contacts(), *self.tip_contacts()]
+        if max((contact.depth for contact in touching), default=0.0) > MAX_DEPTH:
+            size = " x ".join(f"{1000 * side:.0f}" for side in high - low)
+            raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
+
+    def _open_hand(self) -> None:
+        """Opens the hand, while the object waits far above; then the object stands on the table."""
         for joint, angle in self._grasp.opening.items():
             self.data.joint(joint).qpos[:] = angle
             self._servo(joint).ctrl[:] = angle
+        for joint in self.scene.hand.coupled:  # others would be pulled there
+            of = self.scene.hand.followers[joint]
+            lead = self._grasp.opening.get(of.leader, 0.0)
+            self.data.joint(joint).qpos[:] = of.position(lead)
         self._move_arm()
         self.data.joint("mount").qpos[:] = self._arm[0]
-        # The object waits far above until the servos have opened the hand.
         waiting = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
-        for _ in range(round(0.15 * SCENARIO.steps_per_second)):  # [s]
+        for _ in range(round(0.15 * STEPS_PER_SECOND)):  # [s]
             self._hold_object(waiting)
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
-        body_of, object_body = self.scene.model.geom_bodyid, self.scene.model.body("object").id
-        contacts = self.data.contact[: self.data.ncon]
-        between = [c.dist for c in contacts if object_body in body_of[c.geom] and 0 not in body_of[c.geom]]
-        if min(between, default=0.0) < -0.003:  # with more, the object does not fit in [m]
-            size = " x ".join(f"{1000 * side:.0f}" for side in high - low)
-            raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
     @property
     def time(self) -> float:
         """Time since the fingers began to close [s]."""
-        return self.steps / SCENARIO.steps_per_second
+        return self.steps / STEPS_PER_SECOND
 
     @property
     def phase(self) -> Phase:
         """The phase of the motion."""
-        if self.time < MOTION.free:
+        if self.time < FREE_AT:
             return "close"
-        if self._pulled and PULL.begin <= self.time <= PULL.begin + PULL.duration:
+        if self._pulled and PULL_BEGIN <= self.time <= PULL_BEGIN + PULL_DURATION:
             return "pull"
-        return "move" if self._moves and self.time >= MOTION.moves else "hold"
+        moves = self._scenario.motion != "grasp"
+        return "move" if moves and self.time >= MOVES_AT else "hold"
 
     def step(self) -> None:
         """Simulates two milliseconds."""
         if self.phase == "close":
-            self._closed = min(self._closed + 1 / (MOTION.closed * SCENARIO.steps_per_second), 1.0)
+            self._closed = min(self._closed + 1 / (CLOSED_AT * STEPS_PER_SECOND), 1.0)
             for joint, angle in self._grasp.closed.items():
                 begin = self._grasp.opening.get(joint, 0.0)
                 self._servo(joint).ctrl[:] = begin + self._closed * (angle - begin)
@@ -218,24 +256,28 @@ class World:
         elif self._T_palm_object_freed is None:
             self._T_palm_object_freed = self.T_palm_object()
         self._move_arm()
-        if self._pulled and self.time >= PULL.begin:
-            touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
-            if self._pull is None:
-                normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
-                self._pull = Pull(self._scenario, normals)
-            # The pull ends when the object has slipped out of the hand.
-            slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
-            speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
-            wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
-            wrench = wrench_palm @ self.pose(self.scene.hand.palm)[:3, :3].T
-            self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
+        if self._pulled and self.time >= PULL_BEGIN:
+            self._pull_object()
         elif self.phase == "move":
             self._load.press(self.data)
         self._mujoco.mj_step(self.scene.model, self.data)
         fallen = self.data.joint("object")
         if fallen.qpos[2] < FLOOR:
-            fallen.qpos[2], fallen.qvel[:] = FLOOR, 0.0
+            fallen.qpos[2] = FLOOR
+            fallen.qvel[:] = 0.0
         self.steps += 1
+
+    def _pull_object(self) -> None:
+        """Applies the pull to the object for the next step; it ends when the object has slipped out of the hand."""
+        touching = [contact for contact in self.tip_contacts() if contact.other == "object"]
+        if self._pull is None:
+            normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
+            self._pull = Pull(self._scenario, normals)
+        slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
+        speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
+        wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
+        wrench = wrench_palm @ self.pose(self.scene.hand.palm)[:3, :3].T
+        self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
 
     def refresh(self) -> None:
         """Computes poses and sensors at the current instant: after a step they are those of the step's beginning."""
@@ -269,15 +311,12 @@ class World:
         shift, turn = self.moved()
         return shift > 0.03 or turn > 0.5  # [m, rad]
 
-    def touches(self) -> list[tuple[str, float, float]]:
-        """Returns the hand's contacts with the object: the hand's geom, the force [N], and the overlap [m]."""
-        found = []
-        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
-            names = [self.scene.model.geom(int(geom)).name for geom in contact.geom]
-            if "object" in names and "table" not in names and contact.exclude == 0:
-                force = float(np.linalg.norm(self._wrench(i)[:3]))
-                found.append((names[1 - names.index("object")], force, -float(contact.dist)))
-        return found
+    def object_contacts(self) -> list[TipContact]:
+        """Returns the object's contacts with all parts of the hand, each by the part's geom."""
+        model = self.scene.model
+        others = ("object", "table")
+        hand = {k: model.geom(k).name for k in range(model.ngeom) if model.geom(k).name not in others}
+        return [contact for contact in self._contacts(hand) if contact.other == "object"]
 
     def thrown(self) -> bool:
         """Returns whether the object flies faster than this hand can throw it: the simulation has failed."""
@@ -289,34 +328,39 @@ class World:
         return self._contacts(self.scene.tips)
 
     def link_contacts(self) -> tuple[TipContact, ...]:
-        """Returns the contacts of the fingertips and of the palm's face, whose `finger` is `palm`."""
+        """Returns the contacts of the fingertips and of the Shadow hand's palm, whose `finger` is `palm`."""
+        if self.scene.hand.palm != PALM:
+            return self.tip_contacts()
         return self._contacts(self.scene.tips | {self.scene.model.geom(PALM_GEOM).id: "palm"})
 
     def _contacts(self, named: Mapping[int, str]) -> tuple[TipContact, ...]:
         """Returns the contacts of geoms, each with its name."""
-        T_palm_world, found = se3.inverse(self.pose(self.scene.hand.palm)), []
+        T_palm_world = se3.inverse(self.pose(self.scene.hand.palm))
+        R = T_palm_world[:3, :3]
+        found = []
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             for side, geom in enumerate(contact.geom.tolist()):
                 if geom not in named or contact.exclude:
                     continue
                 # MuJoCo's normal and force are from the first geom to the second.
                 sign = 1.0 if side == 1 else -1.0
-                axes, other = np.asarray(contact.frame).reshape(3, 3), int(contact.geom[1 - side])
+                axes = np.asarray(contact.frame).reshape(3, 3)
+                other = int(contact.geom[1 - side])
                 # A contact's position is in the middle of the overlap.
                 point = contact.pos + sign * contact.dist / 2 * axes[0]
                 velocity = self._velocity(other, point) - self._velocity(geom, point)
                 wrench = self._wrench(i)
-                found.append(
-                    TipContact(
-                        finger=named[geom],
-                        point_palm=se3.apply(T_palm_world, point[None])[0],
-                        force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ wrench[:3]),
-                        other=self.scene.model.geom(other).name,
-                        normal_palm=T_palm_world[:3, :3] @ (sign * axes[0]),
-                        velocity_palm=(velocity @ T_palm_world[:3, :3].T).ravel(),
-                        torque=float(wrench[3]),
-                    )
+                touch = TipContact(
+                    finger=named[geom],
+                    point_palm=se3.apply(T_palm_world, point[None])[0],
+                    force_palm=R @ (sign * axes.T @ wrench[:3]),
+                    other=self.scene.model.geom(other).name,
+                    normal_palm=R @ (sign * axes[0]),
+                    velocity_palm=(velocity @ R.T).ravel(),
+                    torque=float(wrench[3]),
+                    depth=-float(contact.dist),
                 )
+                found.append(touch)
         return tuple(found)
 
     def _wrench(self, i: int) -> Array:
@@ -328,24 +372,21 @@ class World:
     def _velocity(self, geom: int, point: Array) -> Array:
         """Returns velocity [m/s] of a point of a geom's body, and the body's angular velocity [rad/s], (2, 3) in the
         world."""
-        body, found = int(self.scene.model.geom_bodyid[geom]), np.zeros(6)
+        body = int(self.scene.model.geom_bodyid[geom])
+        found = np.zeros(6)
         kind = self._mujoco.mjtObj.mjOBJ_BODY
         self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)
         return np.stack([found[3:] + np.cross(found[:3], point - self.data.xipos[body]), found[:3]])
 
     def _hold_object(self, row: Array) -> None:
         free = self.data.joint("object")
-        free.qpos[:], free.qvel[:] = row, 0.0
+        free.qpos[:] = row
+        free.qvel[:] = 0.0
 
     def _servo(self, joint: str) -> "MjData":
         return self.data.actuator(servo_name(joint))
 
     def _move_arm(self) -> None:
         row = self._arm[min(self.steps, len(self._arm) - 1)]
-        self.data.mocap_pos[0], self.data.mocap_quat[0] = row[:3], row[3:]
-
-
-def rows(Ts: Array) -> Array:
-    """Returns positions and quaternions (n, 7) of poses (n, 4, 4); a quaternion's w is first, as in MuJoCo."""
-    xyzw = se3.quaternion_from_rotation(Ts[:, :3, :3])
-    return np.hstack([Ts[:, :3, 3], xyzw[:, 3:], xyzw[:, :3]])
+        self.data.mocap_pos[0] = row[:3]
+        self.data.mocap_quat[0] = row[3:]

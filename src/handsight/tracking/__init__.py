@@ -1,7 +1,7 @@
 """Tracking: the object's pose in the palm over time, from a stream of observations."""
 
-from handsight.tracking.camera_calibration import HAND_VIEWS, HandViews, calibrate_camera
-from handsight.tracking.diagnosis import Diagnoser, diagnose
+from handsight.tracking.camera_calibration import HandViews, calibrate_camera
+from handsight.tracking.estimates import Estimated, estimated_values
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.replay import Step, Tally, best_weight
@@ -10,13 +10,9 @@ from handsight.tracking.skin import SkinContacts, SkinSensors
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.track_state import TrackState
 from handsight.tracking.tracker import State, Tracker
-from handsight.tracking.verdicts import Diagnosed, Diagnosis
 
 __all__ = [
-    "HAND_VIEWS",
-    "Diagnosed",
-    "Diagnoser",
-    "Diagnosis",
+    "Estimated",
     "FingertipContacts",
     "FingertipSensors",
     "HandViews",
@@ -32,5 +28,5 @@ __all__ = [
     "TrackerSettings",
     "best_weight",
     "calibrate_camera",
-    "diagnose",
+    "estimated_values",
 ]

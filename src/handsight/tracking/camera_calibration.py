@@ -8,7 +8,6 @@ the world.
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +30,7 @@ LITTLE_TURN = np.deg2rad(20)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CalibratedCamera:
-    """A `CalibratedCamera` is the pose of a camera in its mount, as a correction of the rig's."""
+    """The pose of a camera in its mount, as a correction of the rig's."""
 
     T_mount_camera: Array
     """(4, 4) the corrected pose."""
@@ -45,20 +44,15 @@ class CalibratedCamera:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraCalibration(CalibratedCamera):
-    """A `CameraCalibration` is a camera's pose by touch."""
+    """A camera's pose by touch."""
 
     turned: float
     """How far the palm turned in the mount while the object was in hand [rad]."""
 
-    def away_from(self, T_mount_camera: Array) -> tuple[float, float]:
-        """Returns by how much another pose of the camera would shift [m] and turn [rad] what is at the pivot."""
-        away = correction_between(self.T_mount_camera, T_mount_camera, self.pivot)
-        return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandCalibration(CalibratedCamera):
-    """A `HandCalibration` is a camera's pose by the hand in its images.
+    """A camera's pose by the hand in its images.
 
     Its covariance is not divided by the number of views, because they have the errors of camera and joints in common.
     """
@@ -125,21 +119,15 @@ def correction_between(T_mount_camera: Array, other: Array, pivot: Array) -> Arr
     return np.concatenate([se3.apply(E, pivot[None])[0] - pivot, se3.rotation_log(E[:3, :3])])
 
 
-class HandViewOptions(NamedTuple):
-    """`HandViewOptions` say which images of a recording are used to calibrate the camera."""
-
-    period: float = 0.25  # least time between images that are used [s]
-    max_views: int = 60  # most images that are used
-    min_views: int = 3  # fewest views that must agree
-    max_shift: float = 0.015  # a view farther from the median one is an outlier [m]
-    max_turn: float = float(np.deg2rad(6))  # the same of its rotation [rad]
-
-
-HAND_VIEWS = HandViewOptions()
+VIEW_PERIOD = 0.25  # least time between images that are used [s]
+MAX_VIEWS = 60  # most images that are used
+MIN_VIEWS = 3  # fewest views that must agree
+MAX_SHIFT = 0.015  # a view farther from the median one is an outlier [m]
+MAX_TURN = float(np.deg2rad(6))  # the same of its rotation [rad]
 
 
 class HandViews:
-    """A `HandViews` gathers views of the hand from the images of a recording, while they pass, for a calibration."""
+    """Gathers views of the hand from the images of a recording, while they pass, for a calibration."""
 
     def __init__(self, rig: Rig) -> None:
         """Nothing is gathered if the rig's camera has no intrinsics, or its hand no shapes."""
@@ -164,7 +152,7 @@ class HandViews:
         T_mount_palm = np.eye(4) if camera.on == "palm" else observation.T_world_palm
         if T_mount_palm is None:
             return
-        if self.images >= HAND_VIEWS.max_views or observation.stamp < self._last + HAND_VIEWS.period:
+        if self.images >= MAX_VIEWS or observation.stamp < self._last + VIEW_PERIOD:
             return
         sigmas = camera.sigma_position_constant, camera.sigma_rotation_constant
         T_camera_palm = se3.inverse(camera.T_mount_camera) @ T_mount_palm
@@ -183,16 +171,16 @@ class HandViews:
 
     def calibration(self) -> HandCalibration | None:
         """Returns the mean of the views that agree with their median; None if those are fewer than `min_views`."""
-        if len(self._views) < HAND_VIEWS.min_views or self._rig.camera is None:
+        if len(self._views) < MIN_VIEWS or self._rig.camera is None:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
         pivot, T_rig = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
         corrections = np.stack([correction_between(T_rig, T, pivot) for T in Ts])
         away = np.abs(corrections[:, None] - corrections)
         shift, turn = away[..., :3].max(axis=2), away[..., 3:].max(axis=2)
-        far = np.maximum(shift / HAND_VIEWS.max_shift, turn / HAND_VIEWS.max_turn)
+        far = np.maximum(shift / MAX_SHIFT, turn / MAX_TURN)
         agree = far[np.median(far, axis=1).argmin()] < 1
-        if agree.sum() < HAND_VIEWS.min_views:
+        if agree.sum() < MIN_VIEWS:
             return None
         mean = corrections[agree].mean(axis=0)
         return HandCalibration(

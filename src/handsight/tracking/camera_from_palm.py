@@ -6,7 +6,6 @@ detection's covariance. Detections from one side have common errors, mainly the 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,25 +13,18 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.gaussian_pose import GaussianPose
 
-
-class HandViewAgreement(NamedTuple):
-    """`HandViewAgreement` says which views of the hand have the same error, and when one is confirmed."""
-
-    other_side_position: float = 0.1
-    """A palm that has moved farther in the mount is detected from another side [m]."""
-    other_side_rotation: float = float(np.deg2rad(20.0))  # the same for its rotation [rad]
-    chi2: float = 22.5
-    """χ² of six numbers that one in a thousand exceeds: beyond it two views do not have the same error."""
-    in_a_row: int = 3
-    """A view is confirmed once so many in a row agree, even if they contradict what was confirmed before."""
-
-
-AGREEMENT = HandViewAgreement()
+OTHER_SIDE_POSITION = 0.1
+"""A palm that has moved farther in the mount is detected from another side [m]."""
+OTHER_SIDE_ROTATION = float(np.deg2rad(20))  # the same for its rotation [rad]
+AGREEMENT_CHI2 = 22.5
+"""χ² of six numbers that one in a thousand exceeds: beyond it two views do not have the same error."""
+IN_A_ROW = 3
+"""A view is confirmed once so many in a row agree, even if they contradict what was confirmed before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandView:
-    """A `HandView` is the palm's pose in the camera's mount at one instant, by the robot and by the camera."""
+    """The palm's pose in the camera's mount at one instant, by the robot and by the camera."""
 
     T_mount_palm: Array
     """(4, 4) by the robot's joints."""
@@ -55,23 +47,23 @@ class HandView:
         pivot = self.T_mount_palm[:3, 3]
         mine, theirs = self.bias(pivot), other.bias(pivot)
         off = se3.difference(theirs.T_a_b, mine.T_a_b)
-        return bool(off @ np.linalg.solve(mine.covariance + theirs.covariance, off) < AGREEMENT.chi2)
+        return bool(off @ np.linalg.solve(mine.covariance + theirs.covariance, off) < AGREEMENT_CHI2)
 
     def same_side(self, other: "HandView") -> bool:
         """Returns whether the camera detected the palm from about the same side as in another view."""
         off = se3.difference(self.pose_mount_palm.T_a_b, other.pose_mount_palm.T_a_b)
         shift, turn = np.linalg.norm(off[:3]), np.linalg.norm(off[3:])
-        return bool(shift < AGREEMENT.other_side_position and turn < AGREEMENT.other_side_rotation)
+        return bool(shift < OTHER_SIDE_POSITION and turn < OTHER_SIDE_ROTATION)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFromPalm:
-    """A `CameraFromPalm` is the camera's error, as views of the hand have measured it so far."""
+    """The camera's error, as views of the hand have measured it so far."""
 
     confirmed: tuple[HandView, ...] = ()
     """The views that count, one from each side."""
     recent: tuple[HandView, ...] = ()
-    """The last views, as many as agree with the one before them, at most `AGREEMENT.in_a_row`."""
+    """The last views, as many as agree with the one before them, at most `IN_A_ROW`."""
 
     def updated(self, view: HandView) -> "CameraFromPalm":
         """Returns the value after another view.
@@ -80,9 +72,9 @@ class CameraFromPalm:
         contradicts a confirmed view, it replaces all of them.
         """
         agrees = self.recent and view.agrees(self.recent[-1])
-        recent = (*self.recent[1 - AGREEMENT.in_a_row :], view) if agrees else (view,)
+        recent = (*self.recent[1 - IN_A_ROW :], view) if agrees else (view,)
         confirmed = self.confirmed
-        if len(recent) == AGREEMENT.in_a_row:
+        if len(recent) == IN_A_ROW:
             if not all(view.agrees(old) for old in confirmed):
                 confirmed = (view,)
             elif not any(view.same_side(old) for old in confirmed):

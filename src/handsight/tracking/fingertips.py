@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.touch import contacts_to_palm as kernels
-from handsight._kernels.touch.contacts_to_palm import TIP_TO_TIP
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
@@ -19,7 +18,6 @@ from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.skin import NOTHING, SkinContacts
 
-SILENT, FLOAT = np.full(6, np.nan), np.dtype(np.float64)
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """Why a finger has no contact, by the kernel's number; number 0 is a contact."""
 CONFLICT = 21.1
@@ -30,7 +28,7 @@ FREE, ON_TABLE, NO_READING = REASON_NAMES.index("free"), len(REASONS) - 1, REASO
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingertipContacts:
-    """A `FingertipContacts` is what the fingertips measure at one instant."""
+    """What the fingertips measure at one instant."""
 
     fingers: tuple[str, ...]
     """The n fingers that touch, in the contacts' order."""
@@ -43,8 +41,6 @@ class FingertipContacts:
     by_error: Array | None = None
     """(n, 6, j) the change of each contact's point and normal for one standard deviation of each of j independent
     errors of the joints (`JointOffsets.root`)."""
-    near: tuple[str, ...] = ()
-    """Those fingers that touch and are within `TIP_TO_TIP.max_gap` of another tip: their contacts are less certain."""
     loads: Array | None = None
     """(n, 5) load of the object on each tip: tangential force (3,) along the palm's axes and normal force [N], torque
     about the normal [N m]; NaN where a tip does not measure it."""
@@ -61,17 +57,14 @@ class FingertipContacts:
 
 
 class FingertipSensors:
-    """A `FingertipSensors` reads a rig's fingertips with their force/torque sensors."""
+    """Reads a rig's fingertips with their force/torque sensors."""
 
     def __init__(self, rig: Rig) -> None:
         """The rig's hand must have a tip for every finger."""
         self.rig, self.names = rig, tuple(rig.fingers)
         self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
         self._fingers = np.array([finger_record(finger) for finger in rig.fingers.values()], dtype=FINGER)
-        self._offsets, table = JointOffsets.of(rig), rig.table
-        self._table = None
-        if table is not None:
-            self._table = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
+        self._offsets = JointOffsets.of(rig)
 
     def contacts(
         self, observation: Observation, offsets: JointOffsets | None = None, skin: SkinContacts = NOTHING
@@ -81,11 +74,12 @@ class FingertipSensors:
         `offsets`: the estimated constant errors of the joints; None: zero, with the rig's sigma. Without T_world_palm
         the direction of gravity and the table's pose are unknown: the tips' weight (some 40 mN) stays in the readings,
         and a finger that touches the table seems to touch the object. `skin`: what the taxels measure; those on a tip
-        say where it touches, and its wrench how much. Raises InvalidInput for wrong joints or wrenches.
+        say where it touches, and its wrench how much. The observation is one that `check_observation` has returned.
+        Raises InvalidInput for wrong joints, wrenches or contacts.
         """
         readings = self._readings(observation.wrenches)
-        if observation.contacts:  # a contact that a tip has sensed directly replaces the one of its wrench
-            readings[[name in observation.contacts for name in self.names]] = np.nan
+        # A contact that a tip has sensed directly replaces the one of its wrench.
+        readings[[name in observation.contacts for name in self.names]] = np.nan
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
@@ -93,27 +87,27 @@ class FingertipSensors:
         Ts_palm_tip, axes = chains.poses(observation.joint_positions, offsets.mean)
         Ts_palm_tip = Ts_palm_tip.take(self._tips, axis=0)
         # Any angle of a hinge is valid, but not a slide so far off that its tip is far from the palm.
-        if not np.vdot(Ts_palm_tip, Ts_palm_tip) <= checks.MAX_DISTANCE**2:  # above any coordinate's square
-            places = Ts_palm_tip[:, :3, 3]
-            checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
-        by_error = chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, axes, offsets.root)
+        places = Ts_palm_tip[:, :3, 3].copy()
+        checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
+        by_error = chains.jacobians(places, self._tips, axes, offsets.root)
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else self.rig.gravity.dot(T[:3, :3])
-        records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
-        by_error = by_error.copy() if skin.tips else by_error
+        records = np.empty(len(self.names), dtype=PALM_CONTACT)
+        by_tip = by_error.copy()
         kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
-        if observation.contacts:
-            put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
+        put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
         links = {touch.surface.frame for touch, _ in skin.touches.values()}
-        for i, name in enumerate(self.names if links else ()):  # by taxels of which none is touched
-            if records["reason"][i] == NO_READING and self.rig.fingers[name].frame in links:
-                records["reason"][i] = FREE
+        for record, finger in zip(records, self.rig.fingers.values(), strict=True):
+            if record["reason"] == NO_READING and finger.frame in links:  # by taxels of which none is touched
+                record["reason"] = FREE
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
-        if T is not None and self._table is not None:
-            kernels.mark_on_table(np.array(T), self._table, ON_TABLE, records)
+        table = self.rig.table
+        if T is not None and table is not None:
+            known = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
+            kernels.mark_on_table(np.array(T), known, ON_TABLE, records)
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
-        fingers = tuple([name for name in self.names if name not in reasons]) if reasons else self.names
+        fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
         n, j = len(fingers), by_error.shape[2]
@@ -121,10 +115,8 @@ class FingertipSensors:
         loads, moved = np.empty((n, 5)), np.empty((n, 6, j))
         kernels.gather_contacts(records, by_error, points, normals, covariance, loads, moved)
         contacts = Contacts.trusted(points, normals, covariance)
-        gaps = zip(self.names, records["gap"].tolist(), strict=True)
-        near = tuple([name for name, gap in gaps if gap < TIP_TO_TIP.max_gap and name not in reasons])
-        by_taxels = tuple([name for name in skin.tips if name not in observation.wrenches])
-        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels, records)
+        by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
+        return FingertipContacts(fingers, contacts, reasons, moved, loads, doubts, by_taxels, records)
 
     def _put_taxels(
         self,
@@ -158,19 +150,11 @@ class FingertipSensors:
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns (n, 6) the fingers' wrenches, NaN where a sensor has no reading; raises InvalidInput."""
-        if not isinstance(wrenches, Mapping):
-            came = checks.brief(wrenches)
-            raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
-        rows = [wrenches.get(name, SILENT) for name in self.names]
-        clean = [type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows]
-        if rows and all(clean):
-            readings = np.concatenate(rows)
-            # A comparison with NaN is False: if there is one, each row is checked below.
-            if np.vdot(readings, readings) <= checks.MAX_LOAD**2:
-                return readings.reshape(-1, 6)
-        named = zip(self.names, rows, strict=True)
-        what = "observation.wrenches[{!r}]"
-        return np.array([row if row is SILENT else _reading(row, what.format(name)) for name, row in named])
+        readings = np.full((len(self.names), 6), np.nan)
+        for row, name in zip(readings, self.names, strict=True):
+            if name in wrenches:
+                row[:] = _reading(wrenches[name], f"observation.wrenches[{name!r}]")
+        return readings
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:
@@ -180,7 +164,7 @@ def _reading(wrench: ArrayLike, name: str) -> Array:
     except ValueError:  # ragged
         array = np.zeros(0)
     silent = array.shape == (6,) and array.dtype.kind == "f" and np.isnan(array).any()
-    return SILENT if silent else checks.load(wrench, name, (6,))
+    return np.full(6, np.nan) if silent else checks.load(wrench, name, (6,))
 
 
 def finger_record(finger: Finger) -> tuple[object, ...]:
@@ -206,9 +190,6 @@ def put_sensed(
     `records` (n) are PALM_CONTACT; these, `Ts_palm_tip` (n, 4, 4) and `by_error` (n, 6, j) are those of
     `contacts_to_palm`, in the order of the rig's fingers. Raises InvalidInput.
     """
-    if not isinstance(contacts, Mapping):
-        came = checks.brief(contacts)
-        raise InvalidInput(f"observation.contacts: expected a mapping from finger to contact, got {came}")
     for i, (name, finger) in enumerate(rig.fingers.items()):
         if name not in contacts:
             continue
@@ -219,10 +200,10 @@ def put_sensed(
         if contact is None or (contact.force is not None and contact.force < finger.tip.min_force):
             records[i]["reason"] = FREE
             continue
-        T_palm_tip, J, row = Ts_palm_tip[i], by_error[i], records[i]
+        T_palm_tip = Ts_palm_tip[i]
         T_palm_surface = T_palm_tip @ finger.T_frame_surface
-        frames = {"tip": T_palm_surface, "palm": np.eye(4), rig.hand.palm: np.eye(4)}
-        frames[finger.frame] = T_palm_tip
+        palm = np.eye(4)
+        frames = {"tip": T_palm_surface, "palm": palm, rig.hand.palm: palm, finger.frame: T_palm_tip}
         if contact.frame not in frames:
             known, came = ", ".join(frames), checks.brief(repr(contact.frame))
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
@@ -230,6 +211,7 @@ def put_sensed(
         point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
         if (point - T_palm_surface[:3, 3]) @ normal > 0:
             normal = -normal  # some sensors report the direction in which the tip pushes
+        J = by_error[i]
         # From the effect of the joints' errors on the tip's frame to that on the contact's point and normal.
         J[:3] = (se3.point_jacobian(point - T_palm_tip[:3, 3]) @ J)[:3]
         J[3:] = -se3.skew(normal) @ J[3:]
@@ -239,5 +221,9 @@ def put_sensed(
             C = se3.rotate_covariance(T[:3, :3], contact.covariance)
         tangent = np.eye(6)
         tangent[3:, 3:] -= np.outer(normal, normal)
-        row["reason"], row["point"], row["normal"], row["load"] = 0, point, normal, np.nan
+        row = records[i]
+        row["reason"] = 0
+        row["point"] = point
+        row["normal"] = normal
+        row["load"] = np.nan
         row["covariance"] = tangent @ (C + J @ J.T) @ tangent

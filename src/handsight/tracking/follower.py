@@ -6,14 +6,12 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight._kernels.touch.contacts_to_palm import have_moved
 from handsight.checks import Array
-from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
 from handsight.correction.correct import corrected, problem_of, refined
 from handsight.correction.estimate import point_uncertainty
@@ -28,12 +26,12 @@ from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.continuity import CONFIRM_AFTER, disputed
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
-from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
-from handsight.tracking.hypotheses import HYPOTHESES, ambiguity, with_others
+from handsight.tracking.hand_outside import LINK_CHECK_PERIOD, HandOutside
+from handsight.tracking.hypotheses import RELEVANT_WEIGHT, ambiguity, with_others
 from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import EYE, VisionUpdate
-from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
+from handsight.tracking.misfit import NO_INNOVATIONS
 from handsight.tracking.runner import CORRECTED, Runner, steps_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
@@ -43,25 +41,24 @@ from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState
 from handsight.vision import FirstPoseSource, locate
 
-
-class FollowerOptions(NamedTuple):
-    """`FollowerOptions` say what happens when contacts contradict the pose, and how often costly steps are taken."""
-
-    inflation: float = 9.0
-    """Factor on the prior's variance when contacts fit no pose near it: the search then starts from several poses."""
-    recovery_period: float = 0.5
-    """Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
-    others [s]."""
-    search_period: float = 3.0  # between two searches for other modes, where vision brings none about [s]
-    retry_period: float = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
-    lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
-    min_contacts_to_learn: int = 3
-    """The joints' offsets are learnt from so many contacts or more: fewer determine the pose alone."""
-    renew_after: float = 0.02
-    """A propagated covariance is renewed when it is older [s]: in that time it grows by a micrometre or so."""
+INFLATION = 9
+"""Factor on the prior's variance when contacts fit no pose near it: the search then starts from several poses."""
+RECOVERY_PERIOD = 0.5
+"""Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
+others [s]."""
+SEARCH_PERIOD = 3  # between two searches for other modes, where vision brings none about [s]
+RETRY_PERIOD = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
+LOST_WITHOUT_FIT = 2.0  # how long contacts may contradict every pose before the object is lost [s]
+MIN_CONTACTS_TO_LEARN = 3
+"""The joints' offsets are learnt from so many contacts or more: fewer determine the pose alone."""
+RENEW_AFTER = 0.02
+"""A propagated covariance is renewed when it is older [s]: in that time it grows by a micrometre or so."""
 
 
-FOLLOWER = FollowerOptions()
+MOVED, TURNED = 0.001, float(np.deg2rad(5))
+"""The pose is corrected when a contact has moved by so much in the palm [m], or its normal by so much [rad]."""
+REGRASP_POSITION, REGRASP_ROTATION = 0.005, float(np.deg2rad(3))
+"""How far the object may be pushed [m] and turned [rad] when a finger comes or goes, one sigma per axis."""
 
 
 class _Next(TrackState):
@@ -83,19 +80,17 @@ class _Next(TrackState):
 
 
 class Follower:
-    """A `Follower` makes the next state of a track; it holds the robot, the object and the settings, but no state."""
+    """Makes the next state of a track; it holds the robot, the object and the settings, but no state."""
 
     def __init__(
         self,
         rig: Rig,
         model: ObjectModel,
         settings: TrackerSettings,
-        alternatives: Sequence[ObjectModel] = (),
         source: FirstPoseSource = locate,
     ) -> None:
         """The arguments are those of `Tracker`."""
         self.source = source
-        self.alternatives = tuple(other for other in alternatives if other is not model)
         self.rig, self.model, self.settings, s = rig, model, settings, settings
         self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
@@ -103,7 +98,7 @@ class Follower:
         self.hand = HandOutside(rig, model, s.outside)
         self.process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         """(6,) variance of the object's random walk in the palm, per second [m², rad²]."""
-        self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
+        self.regrasp_noise = np.repeat([REGRASP_POSITION**2, REGRASP_ROTATION**2], 3)
         """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
         poses = () if rig.table is None else resting_poses(model, model.center_of_mass)
         self._runner = Runner(self._correct)
@@ -159,7 +154,7 @@ class Follower:
         last = state.correction
         if last is None or last is state.learnt_from or last.by_error is None:
             return state.offsets
-        few = len(last.contacts) < FOLLOWER.min_contacts_to_learn
+        few = len(last.contacts) < MIN_CONTACTS_TO_LEARN
         if few or not last.estimate.consistent or last.estimate.outliers:
             return state.offsets
         return state.offsets.after(
@@ -180,12 +175,19 @@ class Follower:
         state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        loaded, learnt = observation, (state.offsets.mean, state.offsets.root)
+        loaded = observation
         if skin.touches:
             loaded = replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
-        grip = {"grasped": state.grasp.grasped, "lifted": state.grasp.lifted, "pivots": state.slip.now.pivots}
-        on_table = "on the table" in touch.reasons.values()
-        state.weight.update(loaded, (touch.fingers, touch.contacts), learnt, finger_on_table=on_table, **grip)
+        state.weight.update(
+            loaded,
+            (touch.fingers, touch.contacts),
+            (state.offsets.mean, state.offsets.root),
+            grasped=state.grasp.grasped,
+            lifted=state.grasp.lifted,
+            pivots=state.slip.now.pivots,
+            finger_on_table="on the table" in touch.reasons.values(),
+            borne=skin.bears,
+        )
 
         # Vision.
         before = state.smoother
@@ -212,7 +214,7 @@ class Follower:
         if state.estimate is None or last is None:  # without touch every direction is unobservable
             now = state.smoother.now
             state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
-        elif stamp - state.propagated_to > FOLLOWER.renew_after:
+        elif stamp - state.propagated_to > RENEW_AFTER:
             state.estimate = last.estimate.inflated(self._motion_since(last, state))
             state.propagated_to = stamp
         if state.estimate.consistent or state.fits_at == -math.inf:
@@ -238,7 +240,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision, state.skin)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
             if state.table is not None and state.smoother is not smoother:
                 slipped = state.smoother.prior.covariance - smoother.now.covariance
                 state.table = state.table.restarted(smoother, slipped[:6, :6])
@@ -304,13 +306,13 @@ class Follower:
     def _due(self, state: _Next) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
         last, failure = state.correction, state.failure
-        if failure is not None and state.stamp - failure.stamp < FOLLOWER.retry_period:
+        if failure is not None and state.stamp - failure.stamp < RETRY_PERIOD:
             return False
         if last is None or failure is not None:
             return True
         age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
-            return age >= (FOLLOWER.retry_period if regrasped else FOLLOWER.recovery_period)
+            return age >= (RETRY_PERIOD if regrasped else RECOVERY_PERIOD)
         if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
             return True
         news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
@@ -318,8 +320,7 @@ class Follower:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        limits = self.settings.moved, math.cos(self.settings.turned)
-        return bool(have_moved(state.fingertips.records, last.records, *limits))
+        return bool(have_moved(state.fingertips.records, last.records, MOVED, math.cos(TURNED)))
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
@@ -354,19 +355,19 @@ class Follower:
         smoother = smoother if state.table is None else state.table.smoother(smoother)
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
         joints = None if observed is None else observed.joint_positions
-        links = self.hand.at(joints and state.offsets.corrected(joints), state.margins)
+        links = self.hand.at(joints and state.offsets.corrected(joints))
         pressed, evidence = skin.evidence(), state.weight.evidence()
-        samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        problem, patches = problem_of(self.model, contacts, prior, links, evidence, None, pressed)
+        prior = smoother.without_touch
+        problem, patches = problem_of(self.model, contacts, prior, links, evidence, pressed)
 
         def correct(prior: PosePrior, weaker: Outside | None = None) -> Steps[PoseEstimate]:
             given = replace(problem, vision=prior)
             if weaker is not None:
                 given = replace(given, outside=outside_records(self.model, given.contacts, weaker, pressed))
-            return corrected(given, patches, answer, samples)
+            return corrected(given, patches)
 
         def refine(prior: PosePrior, T_start: Array) -> Steps[PoseEstimate | None]:
-            return refined(replace(problem, vision=prior), patches, T_start, answer)
+            return refined(replace(problem, vision=prior), patches, T_start)
 
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
@@ -375,10 +376,10 @@ class Follower:
         same = last is not None and touch.fingers == last.fingers
         if last is not None and same and (state.observed_at <= last.stamp or pressed is not None):
             near, age = last.estimate, now - last.searched_at
-            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
-            search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)
+            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > RELEVANT_WEIGHT
+            search = age >= (RECOVERY_PERIOD if ambiguous else SEARCH_PERIOD)
             search = search or last.disputed_at is not None
-            if near.consistent and not near.outliers and not (samples or search):
+            if near.consistent and not near.outliers and not search:
                 estimate = yield from refine(prior, near.T_palm_object_maximum)
                 others, searched_at = last.modes[1:], last.searched_at
         if estimate is None:
@@ -386,12 +387,9 @@ class Follower:
 
         # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
-        if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
+        if links is not None and not (fits and now - state.links_checked_at < LINK_CHECK_PERIOD):
             state.links_checked_at = now
-            estimate, inside = yield from self.hand.reconciled(
-                estimate, links, lambda weaker: correct(prior, weaker)
-            )
-            state.margins = state.margins.noted(inside, now)
+            estimate = yield from self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
         table, known = state.table, state.smoother
         if table is not None and known is not None and table.due(now, estimate, news=state.weight.news):
             drift = process_variance(self.process_noise, now - table.stamp)
@@ -404,16 +402,11 @@ class Follower:
                 state.correction, state.estimate, state.propagated_to = kept, kept.estimate, now
                 state.corrections, state.table = state.corrections + 1, table
                 return state
-        if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
+        if not estimate.consistent and now - state.recovered_at >= RECOVERY_PERIOD:
             state.recovered_at = now
             estimate, prior = yield from self._recovered(state, estimate, prior, correct)
 
-        # The errors of contacts and weight have a common cause, the joints' offsets.
-        weighing = state.weight.used()
-        by_error = None if remembered or pressed is not None else touch.by_error
-        if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:
-            weight = weighing, evidence
-            estimate = state.offsets.shared(self.model, estimate, (touched, by_error), prior, weight)
+        state.weight.used()
         wrong = [
             remembered[i - len(touched)] for i in estimate.outliers if 0 <= i - len(touched) < len(remembered)
         ]
@@ -422,29 +415,35 @@ class Follower:
         if others:  # those that were found by the last search
             estimate = with_others(self.model, estimate, others)
         yield
-        estimate, modes = yield from self._judged(state, estimate, prior, (contacts, links))
+        estimate, modes = self._judged(state, estimate, prior)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
-        given = touched, touch.by_error, touch.records, prior, touch.fingers
-        state.correction = Correction(estimate, *given, now, variance, skin, modes, searched_at)
+        state.correction = Correction(
+            estimate=estimate,
+            contacts=touched,
+            by_error=touch.by_error,
+            records=touch.records,
+            prior=prior,
+            fingers=touch.fingers,
+            stamp=now,
+            variance=variance,
+            skin=skin,
+            modes=modes,
+            searched_at=searched_at,
+        )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
         return state
 
     def _judged(
-        self, state: _Next, estimate: PoseEstimate, prior: PosePrior, touch: tuple[Contacts, Outside | None]
-    ) -> Steps[tuple[PoseEstimate, Sequence[np.void]]]:
+        self, state: _Next, estimate: PoseEstimate, prior: PosePrior
+    ) -> tuple[PoseEstimate, Sequence[np.void]]:
         """Returns a correction's estimate with the other explanations of the table, and with a covariance inflated by
         what has not fitted the model lately; and its modes under its `prior` alone."""
         last, now = state.correction, state.stamp
         age = 0.0 if last is None else now - last.stamp
-        afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
+        afresh = estimate.consistent and now - state.fits_at > LOST_WITHOUT_FIT  # found again
         watched = NO_INNOVATIONS if last is None or afresh else state.innovations
         watched = watched.after(age, state.fingertips.fingers, estimate, prior)
-        if not watched.touch:
-            state.better_object = ""
-        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
-            state.objects_compared_at, explained = now, (self.model, estimate, prior)
-            state.better_object = yield from better_object(self.alternatives, *touch, explained)
         estimate = watched.covered(self.model, estimate, prior)
         modes = tuple(estimate.modes)
         if state.table is not None and state.table.alternatives is not None:
@@ -468,13 +467,13 @@ class Follower:
         The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
         smoother and the table of the one that fits replace the state's.
         """
-        known, more = state.smoother, (FOLLOWER.inflation - 1) * prior.covariance.diagonal()
+        known, more = state.smoother, (INFLATION - 1) * prior.covariance.diagonal()
         if known is None:
             return estimate, prior
         table = None if state.table is None else state.table.restarted(known, np.diag(more))
         tries = [(known.restarted(known.now.inflated(more)), table)]
         # Until the object was lost, contacts may have been with something else, such as the edge of the table.
-        if state.stamp - state.fits_at > FOLLOWER.lost_without_fit and (afresh := state.vision.afresh()):
+        if state.stamp - state.fits_at > LOST_WITHOUT_FIT and (afresh := state.vision.afresh()):
             tries.append((afresh, None))
         for smoother, table in tries:
             wider = (smoother if table is None else table.smoother(smoother)).without_touch
@@ -485,19 +484,19 @@ class Follower:
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""
-        better = state.better_object
-        other = f"another object, {better}, explains the touch better" if better else state.innovations.touch
+        other = state.innovations.touch
         if state.measured_at == -math.inf:
             return "lost", "nothing was touched or seen yet"
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {since:.1f} s"
-        if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
+        if (since := state.stamp - state.fits_at) > LOST_WITHOUT_FIT:
             reason = f"the contacts have fitted no pose for {since:.1f} s"
             return "lost", f"{reason}: {other}" if other else reason
         if state.failure is not None:
             return "uncertain", state.failure.reason
-        if state.slip.now.slipping:
-            return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
+        if (slip := state.slip.now).slipping:
+            reason = "the object slips: every finger that holds it is at the limit of friction"
+            return "uncertain", f"{reason}; {slip.doubt}" if slip.doubt else reason
         if not estimate.consistent:
             reason = "the contacts do not fit the object at its estimated pose"
             return "uncertain", f"{reason}: {other}" if other else reason

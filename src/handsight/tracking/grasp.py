@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,25 +14,19 @@ from handsight.tracking.smoother import process_variance
 GraspChange = Literal["grasped", "regrasped", "released"]
 
 
-class GraspDetection(NamedTuple):
-    """A `GraspDetection` says when an object is grasped, lifted and released."""
-
-    release_after: float = 0.2
-    """The object is released once nothing was touched for so long [s]: contacts flicker while fingers close."""
-    lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
-    min_fingers: int = 2  # so many fingers that stay hold the object in place while others come and go
-
-
-GRASP = GraspDetection()
+RELEASE_AFTER = 0.2
+"""The object is released once nothing was touched for so long [s]: contacts flicker while fingers close."""
+LIFTED_HEIGHT = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
+MIN_FINGERS = 2  # so many fingers that stay hold the object in place while others come and go
 
 
 @dataclass(frozen=True, slots=True)
 class GraspState:
-    """A `GraspState` says whether the object is grasped and lifted."""
+    """Says whether the object is grasped and lifted."""
 
     grasped: bool = False
     lifted: bool = False
-    """Whether the palm has risen by `GRASP.lifted` since the grasp."""
+    """Whether the palm has risen by `LIFTED_HEIGHT` since the grasp."""
     fingers: frozenset[str] = frozenset()
     """The fingers that touched last."""
     touched_at: float = -math.inf
@@ -53,24 +46,24 @@ class GraspState:
         now, grasped, lowest = frozenset(fingers), self.grasped, self.lowest
         touched_at = stamp if now else self.touched_at
         change: GraspChange | None = None
-        if grasped and stamp - touched_at > GRASP.release_after:
+        if grasped and stamp - touched_at > RELEASE_AFTER:
             grasped, lowest, change = False, None, "released"
         elif now and not grasped:
             grasped, change = True, "grasped"
-        elif now and now != self.fingers and len(now & self.fingers) < GRASP.min_fingers:
+        elif now and now != self.fingers and len(now & self.fingers) < MIN_FINGERS:
             change = "regrasped"
         lifted = grasped and self.lifted
         if grasped and T_world_palm is not None:
             height = float(T_world_palm[2, 3])
             lowest = height if lowest is None else min(lowest, height)
-            lifted = height >= lowest + GRASP.lifted
+            lifted = height >= lowest + LIFTED_HEIGHT
         last = now if now or change == "released" else self.fingers
         since = self.since if grasped == self.grasped else stamp
         return GraspState(grasped, lifted, last, touched_at, lowest, since), change
 
 
 class LastContact(NamedTuple):
-    """A `LastContact` is the last contact of one finger."""
+    """The last contact of one finger."""
 
     contacts: Contacts
     """All contacts of that observation, in the palm frame."""
@@ -82,38 +75,28 @@ class LastContact(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ContactMemory:
-    """A `ContactMemory` keeps the last contact of each finger: after it lets go, the object stays there for a while."""
+    """Keeps the last contact of each finger: after it lets go, the object stays there for a while."""
 
     seconds: float
     """How long a contact is kept; 0: not at all."""
     process_noise: Array
     """(6,) variance of the object's motion in the palm, per second."""
-    before: Mapping[str, LastContact] = field(default_factory=dict)
-    """By finger; those of `now` are older ones."""
-    now: tuple[tuple[str, ...], Contacts, float] | None = None
-    """Fingers, their contacts and the stamp of the last observation with any."""
-
-    @cached_property
-    def last(self) -> dict[str, LastContact]:
-        """By finger."""
-        fingers, contacts, stamp = self.now or ((), None, 0.0)
-        now = {finger: LastContact(contacts, row, stamp) for row, finger in enumerate(fingers) if contacts}
-        return {**self.before, **now}
+    last: Mapping[str, LastContact] = field(default_factory=dict)
+    """By finger."""
 
     def after(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> "ContactMemory":
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
         if not self.seconds:
             return self
-        kept, now = self.before, None if contacts is None else (fingers, contacts, stamp)
-        if self.now is None or self.now[0] != fingers or not kept.keys() <= {*fingers}:
-            last = self.last.items()
-            kept = {f: old for f, old in last if f in fingers or stamp - old.stamp <= self.seconds}
-        return ContactMemory(self.seconds, self.process_noise, kept, now)
+        last = {f: old for f, old in self.last.items() if f in fingers or stamp - old.stamp <= self.seconds}
+        if contacts is not None:
+            last |= {finger: LastContact(contacts, row, stamp) for row, finger in enumerate(fingers)}
+        return replace(self, last=last)
 
     def only(self, fingers: Iterable[str]) -> "ContactMemory":
         """Returns the memory with the contacts of these fingers alone."""
         kept = {finger: old for finger, old in self.last.items() if finger in fingers}
-        return ContactMemory(self.seconds, self.process_noise, kept)
+        return replace(self, last=kept)
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
         """Returns the given contacts followed by the remembered ones of other fingers, and the names of these fingers.
@@ -123,11 +106,11 @@ class ContactMemory:
         others = {finger: old for finger, old in self.last.items() if finger not in fingers}
         if not others:
             return contacts, []
-        parts = [contacts, *(old.contacts.select([old.row]) for old in others.values())]
-        covariance = np.concatenate([part.covariance for part in parts])
-        ages = [max(stamp - old.stamp, 0.0) for old in others.values()]
-        covariance[len(contacts) :] += [np.diag(process_variance(self.process_noise, age)) for age in ages]
-        points = np.concatenate([part.points_palm for part in parts])
-        normals = np.concatenate([part.normals_palm for part in parts])
-        flags = np.concatenate([part.of_residual for part in parts])
-        return Contacts(points, normals, covariance=covariance, of_residual=flags), list(others)
+        every = contacts
+        more = [np.zeros((len(contacts), 6, 6))]
+        for old in others.values():
+            every = every.joined(old.contacts.select([old.row]))
+            variance = process_variance(self.process_noise, max(stamp - old.stamp, 0.0))
+            more.append(np.diag(variance)[None])
+        covariance = every.covariance + np.concatenate(more)
+        return Contacts(every.points_palm, every.normals_palm, covariance=covariance), list(others)

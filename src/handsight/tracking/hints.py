@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +10,12 @@ from handsight.checks import Array
 from handsight.observation import Detection2D, Observation
 from handsight.vision import FirstPoseSource, locate, locate_detected
 
-
-class HintOptions(NamedTuple):
-    """`HintOptions` say how long hints count."""
-
-    max_age: float = 1.0  # after which they say nothing of an image, as object or camera may have moved [s]
-
-
-HINTS = HintOptions()
+MAX_AGE = 1.0  # after which they say nothing of an image, as object or camera may have moved [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchHints:
-    """`SearchHints` are the last detections of an object and the last pose of it by another estimator.
+    """The last detections of an object and the last pose of it by another estimator.
 
     The object is first searched where they have it, then in the entire image.
     """
@@ -39,18 +31,17 @@ class SearchHints:
 
     def after(self, observation: Observation) -> "SearchHints":
         """Returns the hints with those of an observation, and without those that are too old."""
-        now, vision, (detected, estimated) = observation.stamp, observation.vision, self.stamps
-        detections, T, new = self.detections, self.T_camera_object, observation.detections
-        if not detections and T is None and new is None and observation.mask is None and vision is None:
-            return self
+        now, vision, new = observation.stamp, observation.vision, observation.detections
+        detected, estimated = self.stamps
+        detections, T = self.detections, self.T_camera_object
         if new is not None or observation.mask is not None:
             found = [each for each in new or () if each.label in ("", self.label)]
             found += [] if observation.mask is None else mask_of(observation.mask, self.label)
             detections, detected = tuple(found), now
         if vision is not None and vision.frame == "camera":
             T, estimated = vision.T_frame_object, now
-        detections = detections if abs(now - detected) <= HINTS.max_age else ()
-        T = T if abs(now - estimated) <= HINTS.max_age else None
+        detections = detections if abs(now - detected) <= MAX_AGE else ()
+        T = T if abs(now - estimated) <= MAX_AGE else None
         return SearchHints(self.label, self.elsewhere, detections, T, (detected, estimated))
 
     def source(self) -> FirstPoseSource:

@@ -8,7 +8,6 @@ mixture. Those that are elsewhere stay hypotheses of their own.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,26 +16,19 @@ from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
-from handsight.correction.modes import MODES, SAME_MODE, chi2_limit, in_metres, pose_distances
+from handsight.correction.modes import MAX_MODES, SAME_MODE, chi2_limit, in_metres, pose_distances
 from handsight.correction.weight import CONTRADICTS
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
-
-class HypothesesOptions(NamedTuple):
-    """`HypothesesOptions` say which explanations are one, and which are reported."""
-
-    overlap: float = chi2_limit(6, 0.05)
-    """Two Gaussian poses overlap if the χ² of their difference is below this, its 95 % quantile."""
-    relevant: float = 0.05  # probability of another hypothesis from which on the answer is uncertain
-
-
-HYPOTHESES = HypothesesOptions()
+OVERLAP = chi2_limit(6, 0.05)
+"""Two Gaussian poses overlap if the χ² of their difference is below this, its 95 % quantile."""
+RELEVANT_WEIGHT = 0.05  # probability of another hypothesis from which on the answer is uncertain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alternatives:
-    """`Alternatives` are the explanations other than the likeliest one."""
+    """The explanations other than the likeliest one."""
 
     share: float
     """Probability of the likeliest explanation among those that overlap with it."""
@@ -56,7 +48,7 @@ class Alternatives:
         for probability, row in ((p * float(row["weight"]), row) for p, e in parts[1:] for row in e.modes):
             step = se3.difference(model.nearest(row["T_palm_object"], T), T)
             own = bounded_covariance(row["information"])
-            if step @ np.linalg.solve(covariance + own, step) < HYPOTHESES.overlap:
+            if step @ np.linalg.solve(covariance + own, step) < OVERLAP:
                 near += probability
                 mean += probability * step
                 spread += probability * (own + np.outer(step, step))
@@ -95,7 +87,7 @@ def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.
         same = np.flatnonzero((shift <= SAME_MODE[0]) & (turn <= SAME_MODE[1]))
         if len(same):
             found[same[0]]["weight"] += row["weight"]
-        elif len(found) < MODES.max_modes:
+        elif len(found) < MAX_MODES:
             found.append(row.copy())
     total = sum(float(row["weight"]) for row in found)
     for row in found:
@@ -105,7 +97,7 @@ def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.
 
 def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:
     """Returns how far the relevant hypotheses are apart, for a person; empty where there is one."""
-    relevant = [row for row in estimate.modes[1:] if row["weight"] > HYPOTHESES.relevant]
+    relevant = [row for row in estimate.modes[1:] if row["weight"] > RELEVANT_WEIGHT]
     if not relevant:
         return ""
     Ts = np.stack([row["T_palm_object"] for row in relevant])

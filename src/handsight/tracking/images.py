@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain
 from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.copies import shallow_copy
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
@@ -32,31 +30,25 @@ if TYPE_CHECKING:
     from handsight.tracking.concurrent_images import ConcurrentImages
 
 
-class ImageOptions(NamedTuple):
-    """`ImageOptions` say how a tracker uses depth images."""
-
-    correlation_time: float = 1.0
-    """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
-    twin_distance: float = 0.4
-    """How far from where touch has it an object is followed that may be another one like it [diameters]."""
-    palm_period: float = 0.5
-    """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
-    sigma_palm_position: float = 0.01
-    """Uncertainty of the palm's position in the next image once it was detected, per axis [m]."""
-    sigma_palm_rotation: float = float(np.deg2rad(3.0))  # the same of its rotation [rad]
-    history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
-    palm_twist: float = 0.03
-    """Time before and after an instant, between which the velocity of the palm is measured [s]."""
-    block: int = 32  # instants are kept in blocks of so many
-    max_blocks: int = 64  # the most complete blocks that are kept
-
-
-IMAGES = ImageOptions()
+CORRELATION_TIME = 1.0
+"""Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
+TWIN_DISTANCE = 0.4
+"""How far from where touch has it an object is followed that may be another one like it [diameters]."""
+PALM_PERIOD = 0.5
+"""Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
+SIGMA_PALM_POSITION = 0.01
+"""Uncertainty of the palm's position in the next image once it was detected, per axis [m]."""
+SIGMA_PALM_ROTATION = float(np.deg2rad(3))  # the same of its rotation [rad]
+HISTORY_SECONDS = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
+PALM_TWIST = 0.03
+"""Time before and after an instant, between which the velocity of the palm is measured [s]."""
+SLACK = 0.1  # by which a stamp may be older than that [s]
+MOST_INSTANTS = 2000  # that are kept, however fast they come
 STAMP = attrgetter("stamp")
 
 
 class Instant(NamedTuple):
-    """An `Instant` is the joint positions and the palm's pose at one stamp; None where they were not measured."""
+    """The joint positions and the palm's pose at one stamp; None where they were not measured."""
 
     stamp: float
     joint_positions: Mapping[str, float] | None
@@ -65,27 +57,25 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """A `History` is the instants of the last second, and a few older ones, in the order of their stamps."""
+    """The instants of the last second, and the one before them."""
 
-    blocks: tuple[tuple[Instant, ...], ...] = ((),)
-    """The instants in blocks, as adding one to a long tuple takes long."""
+    instants: tuple[Instant, ...] = ()
+    """In the order of their stamps."""
 
     def after(self, instant: Instant) -> History:
         """Returns the history with one more instant, which replaces one of the same stamp."""
-        *blocks, last = self.blocks
-        if last and last[-1].stamp == instant.stamp:
-            last = last[:-1]
-        if len(last) >= IMAGES.block:
-            recent = [each for each in (*blocks, last) if each[-1].stamp >= instant.stamp - IMAGES.history]
-            blocks, last = recent[-IMAGES.max_blocks :], ()
-        return History((*blocks, (*last, instant)))
+        before = self.instants
+        if before and before[-1].stamp == instant.stamp:
+            before = before[:-1]
+        first = bisect_left(before, instant.stamp - HISTORY_SECONDS - SLACK, key=STAMP) - 1
+        return History((*before[max(first, len(before) - MOST_INSTANTS, 0) :], instant))
 
     def at(self, stamp: float | None) -> Instant | None:
         """Returns the instant nearest to a stamp [s] (None: the last); None where the history is too short for it."""
-        kept = tuple(chain.from_iterable(self.blocks))
+        kept = self.instants
         if stamp is None or not kept:
             return kept[-1] if kept else None
-        if stamp < max(kept[0].stamp, kept[-1].stamp - IMAGES.history) - IMAGES.history / 10:
+        if stamp < max(kept[0].stamp, kept[-1].stamp - HISTORY_SECONDS) - SLACK:
             return None
         k = bisect_left(kept, stamp, key=STAMP)
         return min(kept[max(k - 1, 0) : k + 1], key=lambda instant: abs(instant.stamp - stamp))
@@ -98,7 +88,7 @@ class History:
         then = self.at(stamp - latency)
         if then is None or then.T_world_palm is None:
             return None
-        before, after = self.at(then.stamp - IMAGES.palm_twist), self.at(then.stamp + IMAGES.palm_twist)
+        before, after = self.at(then.stamp - PALM_TWIST), self.at(then.stamp + PALM_TWIST)
         ends = [each for each in (before, after) if each is not None and each.T_world_palm is not None]
         twist = STILL.twist
         if len(ends) == 2 and ends[1].stamp > ends[0].stamp:
@@ -108,7 +98,7 @@ class History:
 
 
 class TakenImage(NamedTuple):
-    """A `TakenImage` is a depth image with what was known when it was taken."""
+    """A depth image with what was known when it was taken."""
 
     stamp: float
     """[s]"""
@@ -123,7 +113,7 @@ class TakenImage(NamedTuple):
 
 
 class ImageResult(NamedTuple):
-    """An `ImageResult` is what an image has measured."""
+    """What an image has measured."""
 
     vision: PoseMeasurement | None
     """The object's pose in the camera; None where it was not detected."""
@@ -132,7 +122,7 @@ class ImageResult(NamedTuple):
 
 
 class ImageVision:
-    """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
+    """Evaluates the images of a rig's depth camera for one object, over time."""
 
     def __init__(
         self,
@@ -159,11 +149,16 @@ class ImageVision:
 
     def copied(self) -> ImageVision:
         """Returns a copy that evolves apart from this one."""
-        copy = shallow_copy(self)
-        if isinstance(copy._images, ObjectInImages):
-            copy._images = shallow_copy(copy._images)
-            copy._images.tracker = shallow_copy(copy._images.tracker)
-        return copy
+        other = copy(self)
+        if isinstance(other._images, ObjectInImages):
+            other._images = copy(other._images)
+            other._images.tracker = copy(other._images.tracker)
+        return other
+
+    def close(self) -> None:
+        """Ends the thread of images that are evaluated beside the tracker's, if there is one."""
+        if self._images is not None and not isinstance(self._images, ObjectInImages):
+            self._images.close()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -204,7 +199,7 @@ class ImageVision:
 
 
 class ObjectInImages:
-    """An `ObjectInImages` follows the object in a camera's depth images, without the pixels of the hand."""
+    """Follows the object in a camera's depth images, without the pixels of the hand."""
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """`rig`: its camera must have intrinsics."""
@@ -234,16 +229,13 @@ class ObjectInImages:
         # what touch has measured as if the camera had measured it too.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
 
-        def updated(tracker: DepthTracker, hint: Array | None) -> Sighting:
-            known = partial(tracker.update, hand=mask, T_camera_palm=T_camera_palm, expected=hint)
-            return known(stamp, image, gripped=expected is not None)
-
-        found = updated(self.tracker, expected if self.lost else None)
-        far = IMAGES.twin_distance * self.tracker.model.diameter
+        seen: dict[str, Any] = {"hand": mask, "T_camera_palm": T_camera_palm, "gripped": expected is not None}
+        found = self.tracker.update(stamp, image, expected=expected if self.lost else None, **seen)
+        far = TWIN_DISTANCE * self.tracker.model.diameter
         if expected is not None and self._distance(found, expected) > far:
             # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
             other = self.tracker.restarted(stamp, expected)
-            in_hand = updated(other, None)
+            in_hand = other.update(stamp, image, **seen)
             if in_hand.T_camera_object is not None:
                 self.tracker, found = other, in_hand
         self.lost = found.T_camera_object is None
@@ -252,7 +244,7 @@ class ObjectInImages:
             return ImageResult(None, view)
         self._count("object_seen")
         # n images that share their errors tell as much as one, so each gets n times the covariance.
-        sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
+        sharing = max(1.0, CORRELATION_TIME / max(stamp - self._detected_at, 1e-3))
         self._detected_at = stamp
         pose = PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp)
         return ImageResult(pose, view)
@@ -272,7 +264,7 @@ class ObjectInImages:
             return None, None, None
         T_camera_mount = se3.inverse(camera.T_mount_camera)
         known = len(from_palm.confirmed) > 0
-        sigmas = IMAGES.sigma_palm_position, IMAGES.sigma_palm_rotation
+        sigmas = SIGMA_PALM_POSITION, SIGMA_PALM_ROTATION
         if known:
             T_camera_palm = T_camera_mount @ from_palm.confirmed[-1].expected(T_mount_palm)
         else:
@@ -280,7 +272,7 @@ class ObjectInImages:
             constant = camera.sigma_position_constant, camera.sigma_rotation_constant
             sigmas = max(constant[0], sigmas[0]), max(constant[1], sigmas[1])
         found = None
-        if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
+        if not known or abs(stamp - self._palm_searched_at) >= PALM_PERIOD:
             self._palm_searched_at = stamp
             self._count("hand_sought")
             found = self._hand.detected(self._camera, depth, joints, T_camera_palm, sigmas, follow=known)

@@ -1,7 +1,7 @@
 """Vision as measurements of the object's pose; a gate rejects those that are implausible."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -18,15 +18,11 @@ from handsight.tracking.smoother import STILL, Motion, PoseBiasSmoother
 Mount = Literal["world", "palm"]
 
 
-class GateOptions(NamedTuple):
-    """`GateOptions` say which measurements of the object's pose are rejected."""
-
-    chi2: float = 27.9
-    """χ² of six numbers that one in ten thousand exceeds: beyond it a pose is wrong, or the object has moved."""
-    max_rejected: int = 5  # so many rejected poses in a row say that the object has moved
-
-
-GATES = GateOptions()
+CHI2 = 27.9
+"""χ² of six numbers that one in ten thousand exceeds: beyond it a pose is wrong, or the object has moved."""
+MAX_REJECTED = 5  # so many rejected poses in a row say that the object has moved
+LEAST_SIGMA = 1e-6
+"""Of a camera's errors, even of one that has none [m, rad]: a covariance must be invertible."""
 
 UNINFORMATIVE = np.array([0.3**2] * 3 + [1.0] * 3)
 """Variances of a pose before anything is known (δp [m²], δθ [rad²])."""
@@ -35,7 +31,7 @@ EYE, EYE_6 = np.eye(4), np.eye(6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisionUpdate:
-    """A `VisionUpdate` updates a smoother by poses from vision, and counts those that it rejects.
+    """Updates a smoother by poses from vision, and counts those that it rejects.
 
     The poses are transformed to the camera's mount (the world or the palm), because vision's bias is constant there.
     """
@@ -89,8 +85,7 @@ class VisionUpdate:
             motion = STILL
         pose, gain = self._in_mount(measured), self._drift_gain(measured)
         position_palm = (se3.inverse(T_mount_palm) @ pose.T_a_b)[:3, 3]
-        if not np.abs(position_palm).max() <= checks.MAX_DISTANCE:
-            checks.position(position_palm, "vision: the object's place in the palm", (3,))
+        checks.position(position_palm, "vision: the object's place in the palm", (3,))
         motion = motion._replace(drift_gain=gain * motion.drift_gain)
         after = replace(after, last=(pose, T_mount_palm, motion))
         if smoother is not None:
@@ -135,9 +130,8 @@ class VisionUpdate:
     def smoother_from(self, T_palm_object: Array, covariance: Array, pivot: Array) -> PoseBiasSmoother:
         """Returns a smoother that starts at a pose with a covariance (6, 6); the bias is about `pivot` (3,) [m]."""
         c = self.camera
-        # Even a camera without a constant error gets a tiny one: a covariance must be invertible.
-        position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
-        bias = np.diag([position**2] * 3 + [rotation**2] * 3)
+        constant = np.array([c.sigma_position_constant, c.sigma_rotation_constant])
+        bias = np.diag(np.repeat(np.maximum(constant, LEAST_SIGMA) ** 2, 3))
         pose, errors = (T_palm_object, invertible(covariance)), (c.drift, (c.latency, c.sigma_latency))
         smoother = PoseBiasSmoother.from_prior(*pose, bias, pivot, *errors)
         for view in self.camera_from_palm.confirmed:
@@ -155,9 +149,9 @@ class VisionUpdate:
         """Returns the measured pose in the mount's frame."""
         c, covariance = self.camera, measured.covariance
         T_mount_frame = c.T_mount_camera if measured.frame == "camera" else EYE
-        if covariance is None:  # the camera's sigmas are the same along all axes
-            usual = np.diag([c.sigma_position**2] * 3 + [c.sigma_rotation**2] * 3)
-            return GaussianPose(T_mount_frame @ measured.T_frame_object, invertible(usual))
+        if covariance is None:
+            T_mount_object = T_mount_frame @ measured.T_frame_object
+            return GaussianPose(T_mount_object, invertible(c.noise_at(T_mount_object[:3, 3])))
         pose = GaussianPose(measured.T_frame_object, covariance).transformed(T_mount_frame)
         return GaussianPose(pose.T_a_b, invertible(pose.covariance))
 
@@ -169,7 +163,7 @@ class VisionUpdate:
         c, covariance = self.camera, measured.covariance
         if covariance is None:
             return 1.0
-        usual = max(c.sigma_position, 1e-6), max(c.sigma_rotation, 1e-6)
+        usual = np.maximum([c.sigma_position, c.sigma_rotation], LEAST_SIGMA)
         return float(np.sqrt((covariance.diagonal() / np.repeat(usual, 3) ** 2).mean()))
 
     def _gated(
@@ -182,15 +176,13 @@ class VisionUpdate:
         T = self.model.nearest(pose_mount_object.T_a_b, smoother.expected(T_mount_palm))
         nearest = GaussianPose(T, pose_mount_object.covariance)
         chi2 = smoother.mahalanobis2(nearest, T_mount_palm, motion)
-        after = replace(self, chi2=chi2)
-        if chi2 > GATES.chi2:
+        after = replace(self, chi2=chi2, rejected_in_a_row=0)
+        if chi2 > CHI2:
             in_a_row = self.rejected_in_a_row + 1
-            after = replace(after, rejected=self.rejected + 1, rejected_in_a_row=in_a_row)
-            if in_a_row < GATES.max_rejected:
-                return after, smoother
+            after = replace(after, rejected=self.rejected + 1)
+            if in_a_row < MAX_REJECTED:
+                return replace(after, rejected_in_a_row=in_a_row), smoother
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
-        if after.rejected_in_a_row:
-            after = replace(after, rejected_in_a_row=0)
         return after, smoother.updated(nearest, T_mount_palm, motion)
 
 

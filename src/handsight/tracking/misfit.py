@@ -23,52 +23,37 @@ of vision, whose errors are states, is not.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Contacts
-from handsight.correction import Outside, PoseEstimate, PosePrior, bounded_covariance
-from handsight.correction.correct import corrected, problem_of
+from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
 from handsight.correction.modes import chi2_limit, in_metres
-from handsight.correction.problem import Steps
-from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.tracking.hypotheses import HYPOTHESES, log_evidence
+from handsight.tracking.hypotheses import RELEVANT_WEIGHT
 from handsight.tracking.smoother import MAX_PROPAGATION
 
-
-class MisfitOptions(NamedTuple):
-    """`MisfitOptions` say over which time observations are compared with the model, and when they do not fit it."""
-
-    window: float = 1.0  # time constant of the averages [s]
-    alarm: float = 1e-3  # level of the test of one window
-    noise_freedom: float = 4.0
-    """Degrees of freedom of the prior of the factor on the noise's variance: residuals are Student's t with so many, a
-    usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
-    rejected: float = 0.5
-    """A finger whose contact is rejected for a larger share of the window contradicts the others."""
-    suspicious: float = 0.6
-    """The object may be another one once contacts contradicted the model for a larger share of the window: that is for
-    about a second, in which two searches from wider priors have failed."""
-    one_finger: float = 0.01
-    """Level at which one finger alone contradicts the model: so many honest ones are that far off (`contradicted`). One
-    that contradicts the others less may be calibrated badly as well."""
-    decisive: float = math.log(100.0)
-    """Another object explains the touch better if its log evidence is higher by so much."""
-    sigma_turn: float = 1.0  # of another object's rotation about that of the model, per axis [rad]
-    compare_period: float = 1.0  # between two comparisons with other objects [s]
+WINDOW = 1.0  # time constant of the averages [s]
+ALARM_LEVEL = 1e-3  # level of the test of one window
+NOISE_FREEDOM = 4.0
+"""Degrees of freedom of the prior of the factor on the noise's variance: residuals are Student's t with so many, a
+usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
+REJECTED = 0.5
+"""A finger whose contact is rejected for a larger share of the window contradicts the others."""
+SUSPICIOUS = 0.6
+"""The object may be another one once contacts contradicted the model for a larger share of the window: that is for
+about a second, in which two searches from wider priors have failed."""
+ONE_FINGER = 0.01
+"""Level at which one finger alone contradicts the model: so many honest ones are that far off (`contradicted`). One
+that contradicts the others less may be calibrated badly as well."""
 
 
-MISFIT = MisfitOptions()
 COVERAGE = 6 * 6.163132282688632 / chi2_limit(6, 0.05)
 """Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose and ν =
-`MISFIT.noise_freedom`. The F(6, 4) is a number, as loading SciPy for it takes a fifth of a second."""
+`NOISE_FREEDOM`. The F(6, 4) is a number, as loading SciPy for it takes a fifth of a second."""
 OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
 TOUCH, OBJECT = "touch", "object"
@@ -79,7 +64,7 @@ SUSPICIONS = {OBJECT: OTHER_OBJECT, TOUCH: FINGER_OR_OBJECT}
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """A `Misfit` says how well one kind of evidence fits the model; `str` of it is a sentence."""
+    """Says how well one kind of evidence fits the model; `str` of it is a sentence."""
 
     name: str
     """What is compared: the name of a finger, "vision", "weight" or "motion"."""
@@ -94,17 +79,17 @@ class Misfit:
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
         if self.name in SUSPICIONS:
-            return self.rejected > MISFIT.suspicious
+            return self.rejected > SUSPICIOUS
         if self.rejected:
-            return self.rejected > MISFIT.rejected
-        return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
+            return self.rejected > REJECTED
+        return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), ALARM_LEVEL))
 
     @property
     def factor(self) -> float:
         """By how much the answer's covariance is multiplied; 1 where the evidence fits."""
-        if self.name in SUSPICIONS or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
+        if self.name in SUSPICIONS or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), ALARM_LEVEL):
             return 1.0
-        return (MISFIT.noise_freedom + self.nis) / (MISFIT.noise_freedom + self.expected)
+        return (NOISE_FREEDOM + self.nis) / (NOISE_FREEDOM + self.expected)
 
     def __str__(self) -> str:
         """Returns a sentence such as "finger ff contradicts the others"."""
@@ -127,7 +112,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Innovations:
-    """`Innovations` are how well all evidence has fitted the model, over a window."""
+    """How well all evidence has fitted the model, over a window."""
 
     misfits: dict[str, Misfit] = field(default_factory=dict)
     """By what is compared: fingers, "vision", "weight", "motion", "touch", "object"."""
@@ -157,29 +142,32 @@ class Innovations:
 
         `fingers`: those of the estimate's first contacts; others were remembered. Fingers that let go are forgotten.
         """
-        share, known = 1 - math.exp(-age / MISFIT.window), self.misfits
+        share = 1 - math.exp(-age / WINDOW)
+        known = self.misfits
         new = {name: misfit for name, misfit in known.items() if name in ("vision", "motion")}
         against = {c.evidence: c for c in estimate.conflicts}
+
+        def add(name: str, nis: float, expected: float, rejected: bool = False) -> None:
+            before = known.get(name) or Misfit(name, expected=expected)
+            new[name] = before.after(share, nis, expected, float(rejected))
+
         if estimate.weight_fits is not None or "weight" in known:
-            chi2 = against["weight"].chi2 if "weight" in against else 0.0
-            new["weight"] = known.get("weight", Misfit("weight", 0.0, 3.0)).after(share, chi2, 3.0)
+            conflict = against.get("weight")
+            add("weight", 0.0 if conflict is None else conflict.chi2, 3)
         for i, finger in enumerate(fingers):
-            before, conflict = known.get(finger), against.get(f"contact {i}")
-            if conflict is not None or before is not None:
-                nis, freedom = (0.0, 3) if conflict is None else (conflict.chi2, conflict.freedom)
-                before = before or Misfit(finger, expected=freedom)
-                new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
+            conflict = against.get(f"contact {i}")
+            if conflict is not None:
+                add(finger, conflict.chi2, conflict.freedom, i in estimate.outliers)
+            elif finger in known:
+                add(finger, 0.0, 3, i in estimate.outliers)
         wrong, other = contradicted(estimate, len(fingers))
-        rows = float(estimate.answer["rows"])
-        touch = known.get(TOUCH, Misfit(TOUCH, expected=rows))
-        new[TOUCH] = touch.after(share, float(estimate.answer["chi2"]), rows, float(wrong))
-        new[OBJECT] = known.get(OBJECT, Misfit(OBJECT)).after(share, 0.0, 0.0, float(other))
+        add(TOUCH, float(estimate.answer["chi2"]), float(estimate.answer["rows"]), wrong)
+        add(OBJECT, 0.0, 0.0, other)
         inverse = np.linalg.inv(prior.covariance)
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
-        expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
-        expected = min(max(expected, 0.0), 6.0)
-        vision = new.get("vision", Misfit("vision", expected=expected))
-        new["vision"] = vision.after(share, float(off @ inverse @ off), expected)
+        expected = 6 - float((inverse * estimate.bounded_covariance).sum())
+        expected = float(np.clip(expected, 0, 6))
+        add("vision", float(off @ inverse @ off), expected)
         return Innovations(new)
 
     def moved(
@@ -190,21 +178,21 @@ class Innovations:
         `noise` (6,): variance of the object's motion in between [m², rad²]. The largest step counts, and fades. Where
         the last answer named other poses that explain the touch, the step is that from the nearest of them.
         """
-        others = [row for row in last.modes[1:] if row["weight"] > HYPOTHESES.relevant]
+        others = [row for row in last.modes[1:] if row["weight"] > RELEVANT_WEIGHT]
         known = [(row["T_palm_object"], bounded_covariance(row["information"])) for row in others]
         nis = math.inf
         for T, covariance in ((last.T_palm_object, last.bounded_covariance), *known):
             step = se3.difference(model.nearest(new.T_palm_object, T), T)
             total = covariance + new.bounded_covariance + np.diag(noise)
             nis = min(nis, float(step @ np.linalg.solve(total, step)))
-        before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / MISFIT.window)
+        before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / WINDOW)
         return replace(self, misfits={**self.misfits, "motion": Misfit("motion", max(nis, before), 6.0)})
 
     def covered(self, model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -> PoseEstimate:
         """Returns a correction's estimate with the information of touch divided by its coverage factor; `prior` is
         that of the correction."""
         touch, unit = self.misfits[TOUCH], np.repeat([1.0, model.radius], 3)
-        scale = (MISFIT.noise_freedom + touch.nis) / (MISFIT.noise_freedom + touch.expected)
+        scale = (NOISE_FREEDOM + touch.nis) / (NOISE_FREEDOM + touch.expected)
         lost = 1 - 1 / (COVERAGE * max(scale, 1.0))
         # In coordinates y = U' x, the information U U' is the identity, and that of the prior is at most that.
         values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
@@ -242,37 +230,12 @@ def contradicted(estimate: PoseEstimate, fingers: int) -> tuple[bool, bool]:
     touch = [c for c in estimate.conflicts if c.evidence.startswith("contact")]
     now = [c for c in touch if c.excluded and int(c.evidence.split()[1]) < fingers]
     fits = estimate.consistent or (bool(kept) and all(c.excluded for c in touch))
-    too_far = any(chi2_probability(c.chi2, c.freedom) > 1 - MISFIT.one_finger for c in now)
+    too_far = any(chi2_probability(c.chi2, c.freedom) > 1 - ONE_FINGER for c in now)
     return not fits or bool(now), not fits or too_far or len(now) > 1
 
 
 def chi2_probability(chi2: float, n: int) -> float:
     """Returns the probability that the χ² of n residuals is less: with Student's t for residuals, χ²/n follows an F
-    distribution (n, `MISFIT.noise_freedom`), for four in closed form (Abramowitz and Stegun, 26.6.4)."""
-    normal = 4.0 / (4.0 + chi2)
+    distribution (n, `NOISE_FREEDOM`), for four in closed form (Abramowitz and Stegun, 26.6.4)."""
+    normal = NOISE_FREEDOM / (NOISE_FREEDOM + chi2)
     return float((1 - normal) ** (n / 2) * (1 + n / 2 * normal))
-
-
-def better_object(
-    models: Sequence[ObjectModel],
-    contacts: Contacts,
-    outside: Outside | None,
-    explained: tuple[ObjectModel, PoseEstimate, PosePrior],
-) -> Steps[str]:
-    """Returns the name of the object that explains the touch far better than the model; empty where none does.
-
-    `explained`: the model, with the estimate and its prior. Another object is about where the model was expected, for
-    that is where vision detected something; its rotation is hardly known.
-    """
-    model, estimate, prior = explained
-    T, limit = prior.T_palm_object, log_evidence(model, estimate, prior) + MISFIT.decisive
-    middle = GaussianPose(T, prior.covariance).at_point(model.center_object)
-    best = ""
-    for other in models:
-        spread = np.repeat([(other.diameter / 4) ** 2, MISFIT.sigma_turn**2], 3)
-        there = GaussianPose(middle.T_a_b, middle.covariance + np.diag(spread)).at_point(-other.center_object)
-        wide = PosePrior(there.T_a_b, there.covariance)
-        found = yield from corrected(*problem_of(other, contacts, wide, outside))
-        if found.consistent and (evidence := log_evidence(other, found, wide)) > limit:
-            best, limit = other.name, evidence
-    return best

@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,7 @@ MAX_MESSAGES = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A `Step` is the answer to one observation."""
+    """The answer to one observation."""
 
     stamp: float
     """[s]"""
@@ -57,7 +56,7 @@ class Step:
 
 @dataclass(slots=True)
 class Tally:
-    """A `Tally` is the summary of a replay."""
+    """The summary of a replay."""
 
     observations: int = 0
     answered: int = 0
@@ -75,20 +74,6 @@ class Tally:
     """By finger, then by reason: observations without a contact of that finger, up to its first contact."""
     counted_to: float = math.nan
     """The stamp up to which time is counted [s]."""
-    waiting: "list[Unconfirmed]" = field(default_factory=list)
-    """The last observations, while the next one may still undo them."""
-
-
-class Unconfirmed(NamedTuple):
-    """An `Unconfirmed` is an observation that the tracker has used, and that the next one may still undo."""
-
-    stamp: float
-    passed: float
-    """Time since the observation before it [s]."""
-    state: State
-    fingertips: FingertipContacts
-    step: Step | None
-    """The answer; None where there is no pose yet."""
 
 
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
@@ -96,13 +81,12 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
 
     With the tally and the tracker of an earlier replay, it goes on with the observations that follow.
 
-    An invalid observation is counted by its error message, and the replay goes on with the next one. A late observation
-    has no answer, nor has one that jumped ahead and was undone; so after a jump, answers wait for the next observation.
+    An invalid observation is counted by its error message, and the replay goes on with the next one. An observation
+    that is late, or held back because its stamp jumped, has no answer.
     """
-    began, waiting = time.perf_counter() - tally.wall, tally.waiting
+    began = time.perf_counter() - tally.wall
     for observation in observations:
         tally.observations += 1
-        late, undone = tracker.late, tracker.undone
         try:
             estimate = tracker.update(observation)
         except InvalidInput as error:
@@ -110,24 +94,32 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
             tally.refused[message if known else "others"] += 1
             stamp, last = getattr(observation, "stamp", None), tally.counted_to
-            if waiting or not isinstance(stamp, float) or not math.isfinite(stamp):
-                continue
-            if not (stamp <= last or stamp - last > MAX_JUMP):
-                tally.recorded += 0.0 if math.isnan(last) else stamp - last
-                tally.counted_to = stamp
+            if isinstance(stamp, float) and (0 < stamp - last <= MAX_JUMP or math.isnan(last)):
+                _count(tally, stamp)
             continue
         finally:
             tally.wall = time.perf_counter() - began
-        del waiting[len(waiting) - (tracker.undone - undone) :]
-        if tracker.late == late:
-            passed = max(0.0, tracker.stamp - (waiting[-1].stamp if waiting else tally.counted_to))
-            step = None if estimate is None else _step(tracker, estimate)
-            waiting.append(Unconfirmed(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
-        while len(waiting) > tracker.unconfirmed:
-            tally.counted_to = waiting[0].stamp
-            yield from _confirmed(waiting.pop(0), tally)
-    while waiting:
-        yield from _confirmed(waiting.pop(0), tally)
+        if tracker.stamp != observation.stamp:
+            continue
+        passed = _count(tally, tracker.stamp)
+        if passed:
+            state = "search" if estimate is None and not tally.answered else tracker.state
+            tally.states[state] = tally.states.get(state, 0.0) + passed
+        tally.touched.update(tracker.fingertips.fingers)
+        for finger, reason in tracker.fingertips.reasons.items():
+            if finger not in tally.touched:
+                tally.without.setdefault(finger, Counter())[reason] += 1
+        if estimate is not None:
+            tally.answered += 1
+            yield _step(tracker, estimate)
+
+
+def _count(tally: Tally, stamp: float) -> float:
+    """Adds the time up to a stamp [s] to a tally, and returns it [s]; 0 for the first one, or if a clock went back."""
+    passed = 0.0 if math.isnan(tally.counted_to) else max(0.0, stamp - tally.counted_to)
+    tally.recorded += passed
+    tally.counted_to = stamp
+    return passed
 
 
 def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
@@ -146,21 +138,6 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         fingertips=tracker.fingertips,
         skin=tracker.skin,
     )
-
-
-def _confirmed(observed: Unconfirmed, tally: Tally) -> Iterator[Step]:
-    """Yields the answer to an observation that nothing can undo any more, if it has one, and counts it."""
-    tally.recorded += observed.passed
-    if observed.passed:
-        state = "search" if observed.step is None and not tally.answered else observed.state
-        tally.states[state] = tally.states.get(state, 0.0) + observed.passed
-    tally.touched.update(observed.fingertips.fingers)
-    for finger, reason in observed.fingertips.reasons.items():
-        if finger not in tally.touched:
-            tally.without.setdefault(finger, Counter())[reason] += 1
-    if observed.step is not None:
-        tally.answered += 1
-        yield observed.step
 
 
 def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[ObjectWeight | None, str]:

@@ -10,8 +10,8 @@ from handsight.tracking.track_state import Failure, Progress, TrackState
 STEP_EVERY = 0.002
 """An update runs one step for so much time since the last observation [s]: most steps take less than half of it."""
 CORRECTED = (
-    *("estimate", "propagated_to", "correction", "corrections", "innovations", "margins", "links_checked_at"),
-    *("recovered_at", "better_object", "objects_compared_at", "failure"),
+    *("estimate", "propagated_to", "correction", "corrections", "innovations", "links_checked_at"),
+    *("recovered_at", "failure"),
 )
 """The fields of a state that corrections alone change."""
 
@@ -23,7 +23,7 @@ def steps_in(elapsed: float) -> int:
 
 
 class Runner:
-    """A `Runner` runs corrections. It keeps the computation of the last one, which can be lost: then it is repeated."""
+    """Runs corrections. It keeps the computation of the last one, which can be lost: then it is repeated."""
 
     def __init__(self, begin: Callable[[TrackState], Steps[TrackState]]) -> None:
         """`begin`: from the state at which a correction begins to the one at its end."""

@@ -1,44 +1,31 @@
 """When a tracker corrects the pose, which motions of the object it expects, and when the object is lost."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight import checks
-from handsight.correction import MOST_SAMPLES
-from handsight.correction.mean import checked_answer
 from handsight.correction.outside import MOST_POINTS
 from handsight.errors import InvalidInput
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerSettings:
-    """`TrackerSettings` say when a tracker corrects the pose, which motions it expects, and when the object is lost.
+    """When a tracker corrects the pose, which motions it expects, and when the object is lost.
 
     The defaults are for a hand that holds still or moves slowly.
     """
 
     rate: float | None = None
     """Corrections per second while something is touched, even if nothing has changed; None: only after a change."""
-    moved: float = 0.001
-    """The pose is corrected when a contact has moved by so much in the palm [m]."""
-    turned: float = float(np.deg2rad(5.0))
-    """The pose is corrected when a contact's normal has turned by so much [rad]."""
     process_noise_position: float = 0.002
     """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
     of time. Objects between simulated tips move by millimetres while they are lifted, and creep afterwards."""
-    process_noise_rotation: float = float(np.deg2rad(3.0))
+    process_noise_rotation: float = float(np.deg2rad(3))
     """The same of its rotation [rad]: a box between three simulated tips creeps by degrees while it is carried."""
-    regrasp_position: float = 0.005
-    """How far the object may be pushed when a finger comes or goes, one standard deviation per axis [m]."""
-    regrasp_rotation: float = float(np.deg2rad(3.0))
-    """How far it may be turned then, one standard deviation per axis [rad]."""
     memory: float = 5.0
     """How long the contact of a finger that has let go is still used [s]; 0: not at all."""
-    answer: str = "best"
-    """As in `correct_pose`: "best" is the mean where contacts bound a slide but do not fix it, else the maximum."""
-    samples: int = 0
-    """Above 0: the mean of so many samples instead, as an independent check; 4000 take some 50 ms."""
     outside: int = 200
     """Number of points on the hand's other links, which the object cannot contain; 0: none are used.
 
@@ -46,7 +33,7 @@ class TrackerSettings:
     images: bool = True
     """Whether depth images are used, if the rig's camera has intrinsics; poses from that camera are then left out."""
     concurrent_images: bool = False
-    """Whether a process of its own evaluates depth images: no update then waits for one, its pose is used when it is
+    """Whether a thread of its own evaluates depth images: no update then waits for one, its pose is used when it is
     ready, as of the time at which the image was taken, and two runs are no longer equal to the last digit."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position with which the state is "tracking" [m]."""
@@ -57,15 +44,18 @@ class TrackerSettings:
         """Raises InvalidInput."""
         if self.rate is not None:
             checks.positive(self.rate, "settings.rate")
-        infinite = "moved", "turned", "memory", "uncertain_position", "lost_after"  # may be infinite: never
-        motions = "process_noise_position", "process_noise_rotation", "regrasp_position", "regrasp_rotation"
-        for name in (*infinite, *motions):
-            value, most = getattr(self, name), np.inf if name in infinite else checks.MAX_DISTANCE
-            if isinstance(value, float) and value == most == np.inf:
+        largest = {
+            "memory": math.inf,
+            "uncertain_position": math.inf,
+            "lost_after": math.inf,
+            "process_noise_position": checks.MAX_DISTANCE,
+            "process_noise_rotation": checks.MAX_DISTANCE,
+        }
+        for name, most in largest.items():
+            value = getattr(self, name)
+            if isinstance(value, float) and value == most:
                 continue
             number = float(checks.finite(value, f"settings.{name}", ()))
             if not 0 <= number <= most:
                 raise InvalidInput(f"settings.{name}: expected a number from 0 to {most:g}, got {number:g}")
-        checked_answer(self.answer, "settings.answer")
-        checks.integer(self.samples, "settings.samples", MOST_SAMPLES)
         checks.integer(self.outside, "settings.outside", MOST_POINTS)

@@ -33,7 +33,7 @@ from handsight.gaussian_pose import GaussianPose, kalman_update
 MAX_PROPAGATION = 100.0
 """Variance at which process noise stops growing [m², rad²]: the object may be anywhere."""
 MOST_MEASUREMENTS = 48
-SAME_PALM = np.array([0.01, np.deg2rad(2.0), 0.5])
+SAME_PALM = np.array([0.01, np.deg2rad(2), 0.5])
 """Neighbours in time from poses of the palm nearer to each other than this are merged [m, rad], within so many
 correlation times of the drift. Where more than `MOST_MEASUREMENTS` remain, the two nearest ones are merged as well."""
 NO_DRIFT = np.array([0.0, 0.0, 1.0])
@@ -41,7 +41,7 @@ EYE = np.eye(19)
 
 
 class Motion(NamedTuple):
-    """A `Motion` is how a palm moved when vision measured a pose, and how that measurement shares the drift."""
+    """How a palm moved when vision measured a pose, and how that measurement shares the drift."""
 
     twist: Array = np.zeros(6)
     """(6,) velocity of the palm's origin [m/s] and of its rotation [rad/s], along the mount's axes."""
@@ -61,7 +61,7 @@ def process_variance(process_noise: Array, seconds: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAndBias:
-    """A `PoseAndBias` is the object's pose and vision's errors, jointly Gaussian."""
+    """The object's pose and vision's errors, jointly Gaussian."""
 
     Ts: Array
     """(2, 4, 4): `T_palm_object` and `T_measured_true`."""
@@ -150,7 +150,7 @@ class PoseAndBias:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseBiasSmoother:
-    """A `PoseBiasSmoother` is the posterior of pose and vision's errors, given a prior and all poses measured later."""
+    """The posterior of pose and vision's errors, given a prior and all poses measured later."""
 
     prior: PoseAndBias
     pivot: Array
@@ -199,21 +199,19 @@ class PoseBiasSmoother:
     @property
     def without_touch(self) -> PosePrior:
         """The pose without contacts, as the prior of a correction."""
-        now = self.solved.inflated(self.process_noise - self.solved_noise)
+        now = self.now
         return PosePrior.trusted(now.T_palm_object, now.covariance[:6, :6])
 
     @property
     def is_near(self) -> bool:
         """Whether the object is near enough to the palm for any hand."""
-        x, y, z = self.solved.Ts[0, :3, 3].tolist()
-        return bool(abs(x) <= MAX_DISTANCE and abs(y) <= MAX_DISTANCE and abs(z) <= MAX_DISTANCE)
+        return bool((np.abs(self.solved.Ts[0, :3, 3]) <= MAX_DISTANCE).all())
 
     def inflated(self, variance: Array, seconds: float = 0.0) -> "PoseBiasSmoother":
         """Returns the smoother after a step of the pose's random walk with `variance` (6,) [m², rad²], which took so
         many seconds."""
-        noise, time = np.minimum(self.process_noise + variance, MAX_PROPAGATION), self.time + seconds
-        known = self.prior, self.pivot, self.solved, self.solved_noise
-        return PoseBiasSmoother(*known, noise, self.measurements, self.drift, time, self.solved_at)
+        noise = np.minimum(self.process_noise + variance, MAX_PROPAGATION)
+        return replace(self, process_noise=noise, time=self.time + seconds)
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
         """Returns a smoother without measurements; `prior` must include what they have measured."""
@@ -235,8 +233,7 @@ class PoseBiasSmoother:
     ) -> "PoseBiasSmoother":
         """Returns the smoother after vision measured a pose; the pose's covariance excludes bias and drift."""
         measurements = np.empty(len(self.measurements) + 1, dtype=MEASUREMENT)
-        # NumPy copies structured rows ten times slower than plain ones.
-        measurements.view(np.float64)[: -MEASUREMENT.itemsize // 8] = self.measurements.view(np.float64)
+        measurements[:-1] = self.measurements
         measurements[-1] = self._measurement(pose_mount_object, T_mount_palm, motion)
         known = self.solved.Ts, self.latency, self.pivot, self.drift
         count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, *known)
@@ -281,14 +278,23 @@ class PoseBiasSmoother:
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """Returns the smoother at the maximum a posteriori of its prior and these measurements."""
-        noise, prior, drift, time = self.process_noise, self.prior, self.drift, self.time
-        Ts, rest, covariance = self.solved.Ts.copy(), self.solved.rest.copy(), EYE.copy()
-        given = prior.Ts, prior.rest, prior.covariance, self.pivot, drift, measurements
+        prior = self.prior
+        Ts = self.solved.Ts.copy()
+        rest = self.solved.rest.copy()
+        covariance = EYE.copy()
+        given = prior.Ts, prior.rest, prior.covariance, self.pivot, self.drift, measurements
         if not pose_bias.smooth(*given, Ts, rest, covariance):
             raise np.linalg.LinAlgError("vision: expected positive definite covariances")
-        state = PoseAndBias(Ts, covariance, rest).inflated(noise - measurements["process_noise"][-1])
-        state = state.later(time - measurements["time"][-1], drift)
-        return PoseBiasSmoother(prior, self.pivot, state, noise, noise, measurements, drift, time, time)
+        last = measurements[-1]
+        state = PoseAndBias(Ts, covariance, rest).inflated(self.process_noise - last["process_noise"])
+        state = state.later(self.time - last["time"], self.drift)
+        return replace(
+            self,
+            measurements=measurements,
+            solved=state,
+            solved_noise=self.process_noise,
+            solved_at=self.time,
+        )
 
 
 def nearest_semidefinite(information: Array) -> Array:

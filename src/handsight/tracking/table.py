@@ -11,7 +11,6 @@ under the prior that it makes.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,29 +25,25 @@ from handsight.rig import Table
 from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
-
-class TableOptions(NamedTuple):
-    """`TableOptions` are the prior probabilities of what bears the object, and when these are compared."""
-
-    leans: float = 0.1  # probability that the object rests on no side of its own, but leans and is held
-    misplaced: float = 0.15  # probability that the table is not where the rig says
-    misplaced_height: float = 10.0  # factor on the height's sigma if it is not
-    misplaced_tilt: float = 3.0  # factor on the tilt's
-    negligible: float = 1e-3  # probability of a resting pose that is not compared again
-    least_evidence: float = -10.0
-    """Log density of touch under a support, relative to the best, that is not lowered further: a search may fail."""
-    certain: float = 0.8  # probability of the likeliest support from which on the others are compared seldom
-    period: float = 3.0  # between two such comparisons [s]
-    doubt_period: float = 0.5  # the same while none is certain, or touch contradicts the likeliest [s]
+LEANS = 0.1  # probability that the object rests on no side of its own, but leans and is held
+PROBABILITY_MISPLACED = 0.15  # probability that the table is not where the rig says
+MISPLACED_HEIGHT = 10.0  # factor on the height's sigma if it is not
+MISPLACED_TILT = 3.0  # factor on the tilt's
+NEGLIGIBLE = 1e-3  # probability of a resting pose that is not compared again
+LEAST_EVIDENCE = -10.0
+"""Log density of touch under a support, relative to the best, that is not lowered further: a search may fail."""
+ROUNDING = 1e-9  # a turn that is smaller has no axis [rad]
+CERTAIN = 0.8  # probability of the likeliest support from which on the others are compared seldom
+PERIOD = 3  # between two such comparisons [s]
+DOUBT_PERIOD = 0.5  # the same while none is certain, or touch contradicts the likeliest [s]
 
 
-TABLE = TableOptions()
-MISPLACED = (TABLE.misplaced_height, TABLE.misplaced_tilt)
+MISPLACED = (MISPLACED_HEIGHT, MISPLACED_TILT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """A `Support` is one explanation of what bears the object until it is lifted."""
+    """One explanation of what bears the object until it is lifted."""
 
     pose: RestingPose | None
     """The side on which it rests; None: it leans, or is held."""
@@ -60,7 +55,7 @@ class Support:
 
 def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
     """Returns all supports of an object with these resting poses; their probabilities sum to 1."""
-    rests, wrong = 1 - TABLE.leans, TABLE.misplaced
+    rests, wrong = 1 - LEANS, PROBABILITY_MISPLACED
     some = [
         Support(pose, factors, rests * share * pose.probability)
         for factors, share in (((1.0, 1.0), 1 - wrong), (MISPLACED, wrong))
@@ -75,7 +70,7 @@ Measured = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, slots=True)
 class TableEstimate:
-    """A `TableEstimate` is where the table must be, as the object stood on it at the grasp, and whether it is used."""
+    """Where the table must be, as the object stood on it at the grasp, and whether it is used."""
 
     height: float
     """Of its top in the world, along +z [m]."""
@@ -93,7 +88,7 @@ class TableEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableEvidence:
-    """A `TableEvidence` is what the table tells of an object that was grasped on it."""
+    """What the table tells of an object that was grasped on it."""
 
     model: ObjectModel
     table: Table
@@ -125,8 +120,8 @@ class TableEvidence:
         """Returns whether the supports are to be compared again: now and then, and more often while none is certain,
         while touch contradicts the likeliest, at whose prior it led to `estimate`, or where there is `news` of it."""
         fits = estimate.consistent and not estimate.outliers and estimate.weight_fits is not False
-        certain = fits and not news and self.probabilities.max() > TABLE.certain
-        period = TABLE.period if certain else TABLE.doubt_period
+        certain = fits and not news and self.probabilities.max() > CERTAIN
+        period = PERIOD if certain else DOUBT_PERIOD
         return len(self.supports) > 1 and stamp - self.compared_at >= period - 1e-9
 
     def compared(
@@ -157,7 +152,7 @@ class TableEvidence:
         touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
-        touch = np.maximum(touch - touch.max(), TABLE.least_evidence) * min(1.0, max(rows) / min(chi2))
+        touch = np.maximum(touch - touch.max(), LEAST_EVIDENCE) * min(1.0, max(rows) / min(chi2))
         if self.touch is not None:  # two instants are no independent measurements: their mean counts
             touch = (touch + self.touch) / 2
         now = vision.now
@@ -185,7 +180,7 @@ class TableEvidence:
         every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
         measured = every.measured(state, supports)
         shares = normalised(every.log_densities(state, measured))
-        kept = np.append(np.flatnonzero(shares[:-1] > TABLE.negligible), len(shares) - 1)
+        kept = np.append(np.flatnonzero(shares[:-1] > NEGLIGIBLE), len(shares) - 1)
         return replace(
             every,
             supports=tuple(supports[i] for i in kept),
@@ -227,7 +222,8 @@ class TableEvidence:
         axes = np.linalg.svd(up[None])[2][1:]
         turns = -down @ across  # up x down
         sines = np.linalg.norm(turns, axis=1)
-        turns *= np.where(sines > 1e-9, np.arctan2(sines, -down @ up) / np.maximum(sines, 1e-9), 1.0)[:, None]
+        angles = np.arctan2(sines, -down @ up)
+        turns *= np.where(sines > ROUNDING, angles / np.maximum(sines, ROUNDING), 1.0)[:, None]
         H, residuals = np.zeros((k, 3, 12)), np.empty((k, 3))
         H[:, 0, :3], H[:, 0, 3:6], H[:, 1:, 3:6] = up, arms @ across, axes
         heights = table.height + np.array([near[pose][1] for pose, _ in rests]) - self.T_world_palm[2, 3]
@@ -269,9 +265,9 @@ class TableEvidence:
         if best.factors == (1.0, 1.0):
             return ""
         now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), np.zeros((12, 12)))
-        off = self.measured(now, [best])[1][0, 0]
+        off = 1000 * self.measured(now, [best])[1][0, 0]
         side = "below" if off > 0 else "above"
-        return f"touch and vision have it {abs(1e3 * off):.0f} mm {side} where the rig says"
+        return f"touch and vision have it {abs(off):.0f} mm {side} where the rig says"
 
     def log_densities(self, state: PoseAndBias, measured: Measured) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.

@@ -15,7 +15,6 @@ from handsight.forces import WeightSensor
 from handsight.observation import Observation
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.grasp import ContactMemory, GraspState
-from handsight.tracking.hand_outside import LinkMargins
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
@@ -31,7 +30,7 @@ NO_POSE = "no pose yet: neither a start nor vision"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Progress:
-    """A `Progress` is a correction that has started and not ended: it takes longer than one update may."""
+    """A correction that has started and not ended: it takes longer than one update may."""
 
     started: "TrackState"
     """The state after the observation by which it corrects."""
@@ -41,7 +40,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A `Failure` says why a correction has ended without an answer."""
+    """Says why a correction has ended without an answer."""
 
     stamp: float
     """Of the observation by which it began [s]."""
@@ -56,12 +55,12 @@ class Failure:
         return cls(started.stamp, f"{by}: {str(error) or type(error).__name__}")
 
 
-NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
+NO_CONTACTS = FingertipContacts((), None, {})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """A `Correction` is the answer of a correction, with its inputs."""
+    """The answer of a correction, with its inputs."""
 
     estimate: PoseEstimate
     contacts: Contacts
@@ -90,7 +89,7 @@ class Correction:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrackState:
-    """A `TrackState` is all that is known of one object in one hand after some observations, see `Follower.step`.
+    """All that is known of one object in one hand after some observations, see `Follower.step`.
 
     It can be kept, copied and pickled. To undo an observation, continue from the state before it.
     """
@@ -138,12 +137,6 @@ class TrackState:
     """The last correction from which the offsets were learnt."""
     innovations: Innovations = NO_INNOVATIONS
     """How well evidence has fitted the model lately."""
-    better_object: str = ""
-    """Name of the alternative object that explains the touch better than the model; empty where none does."""
-    objects_compared_at: float = -math.inf
-    """When the object was last compared with the alternatives [s]."""
-    margins: LinkMargins = NO_MARGINS
-    """How much smaller than their shapes links are."""
     measured_at: float = -math.inf
     """When something was last touched or detected by vision [s]."""
     observed_at: float = -math.inf

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,15 +16,13 @@ from handsight.objects import ObjectModel
 from handsight.observation import MAX_JUMP, Observation, check_observation
 from handsight.rig import Rig
 from handsight.rig.units import Units
-from handsight.tracking.clock import TrackClock
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.misfit import Misfit
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
-from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
+from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.table import TableEstimate
 from handsight.tracking.track_state import State, TrackState
 from handsight.tracking.warm import warm_tracker
@@ -38,18 +35,19 @@ MAX_LEFT_OUT = 100
 
 
 class Tracker:
-    """A `Tracker` follows one object in one hand: each observation updates the object's pose.
+    """Follows one object in one hand: each observation updates the object's pose.
 
     Between corrections the object is fixed in the palm (the paper's assumption) with growing uncertainty; while it is
     not grasped, it is fixed in the world. The pose is corrected when a finger touches or lets go, when a contact has
     moved, when the object slips, when vision arrives, or at a set rate.
 
-    Stamps must increase; an observation older than the last one is late, and left out. `handsight.tracking.clock`
-    distinguishes a clock that jumps from a pause: a jump ahead is undone if the next stamp contradicts it. Where the
-    clock was set back, a new track starts from `start` or from vision, and `reason` says so for a second.
+    Stamps must increase; an observation older than the last one is late, and left out. An observation more than a
+    second (`MAX_JUMP`) from the last one is held back until the next one: if that is nearer to it than to those before,
+    both are used, else it is left out. Where the clock was set back so, a new track starts from `start` or from vision,
+    and `reason` says so for a second.
 
     All that is known of the object is one value, `track_state`, from which `Follower.step` makes the next one. A
-    tracker can be copied and pickled, and `resume` continues from any such value.
+    tracker can be copied and pickled.
     """
 
     def __init__(
@@ -61,7 +59,6 @@ class Tracker:
         settings: TrackerSettings | None = None,
         joint_offsets: JointOffsets | None = None,
         friction: tuple[float, float] | None = None,
-        alternatives: Sequence[ObjectModel] = (),
         source: FirstPoseSource = locate,
     ) -> None:
         """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
@@ -69,8 +66,6 @@ class Tracker:
         `joint_offsets`: those of a tracker that followed another object in this hand; None: zero, with the rig's sigma.
         `friction`: coefficient of friction between tips and object, and its sigma; None: that of the model, else of
         the rig's fingers, else it is learnt.
-        `alternatives`: other objects that may be in the hand; where contacts contradict the model for a second,
-        `reason` names the one that explains them better.
         `source`: finds the object in a depth image at first and when it was lost.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
@@ -96,17 +91,18 @@ class Tracker:
             model = model.with_friction(*friction)
         warm_tracker()
         self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
-        for k, other in enumerate(alternatives):
-            if not isinstance(other, ObjectModel):
-                raise InvalidInput(f"alternatives[{k}]: expected an ObjectModel, got {type(other).__name__}")
-        self.follower = Follower(rig, model, self.settings, alternatives, source)
+        self.follower = Follower(rig, model, self.settings, source)
         """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""
-        self._clock, self._units = TrackClock(), Units(rig)
-        self.late = self.undone = self.refused = 0
-        """How many observations were left out: late ones, those that were undone because the next one contradicted
-        their stamps, and invalid ones."""
+        self._units = Units(rig)
+        # The last observation, if its stamp jumped and no other has confirmed it yet.
+        self._held: Observation | None = None
+        # Why the track is a new one, and when it began [s].
+        self._restarted = "", -math.inf
+        self.late = self.refused = 0
+        """How many observations were left out: those older than the last one or with a stamp that the next one
+        contradicted, and invalid ones."""
         self.state: State = "lost"
         """How far to trust the answer."""
         self.reason = self.track_state.reason
@@ -122,23 +118,25 @@ class Tracker:
         """Returns the object's pose in the palm now; None before there was a start or a pose from vision.
 
         `state` and `reason` say how far to trust it. The object is also lost once `MAX_LEFT_OUT` observations in a
-        row, or all of the last `settings.lost_after` seconds, were left out. An observation older than the last one is
-        counted in `late` and changes nothing else; the class describes the effect of a jump of the clock. Raises
+        row, or all of the last `settings.lost_after` seconds, were left out. An observation that is late, or held back
+        because its stamp jumped, changes nothing else; after one that was used, `stamp` is its stamp. Raises
         InvalidInput for an invalid observation, for a finger that the rig lacks, and for values that seem to be in a
         wrong unit; such an observation is counted in `refused` and changes nothing else.
         """
-        last = self.track_state
+        last, held = self.track_state, self._held
         try:
-            clean = check_observation(observation)
+            clean = self._complete(check_observation(observation))
             self._units.check_names(clean)
-            clock, known, undone = self._clock.at(clean.stamp, last)
-            if known is None:  # a new track, which keeps what was learnt of the robot
-                known = replace(
-                    self.follower.initial(last.start, last.offsets),
-                    corrections=last.corrections,
-                    learnt_from=last.learnt_from,
-                    margins=last.margins,
-                )
+            ahead = clean.stamp - last.stamp
+            jumps = last.stamp > -math.inf and abs(ahead) > MAX_JUMP
+            if jumps and (held is None or abs(clean.stamp - held.stamp) >= abs(ahead)):
+                return self._hold(clean, ahead)
+            known, restarted = last, self._restarted
+            if jumps and held is not None:
+                if ahead < 0:
+                    known = self._new_track()
+                    restarted = f"the clock went back by {-ahead:.1f} s: a new track", held.stamp
+                known, _ = self.follower.step(known, held)
             late = clean.stamp < known.stamp
             state, estimate = (known, known.estimate) if late else self.follower.step(known, clean)
             if not late:
@@ -147,9 +145,9 @@ class Tracker:
             self.refused += 1
             self._leave_out(getattr(observation, "stamp", None), str(error))
             raise
-        self._clock, self.track_state = clock, state
-        if undone:
-            self.undone, self._left_out_in_a_row = self.undone + undone, 0
+        if held is not None and not jumps:
+            self.late += 1
+        self._held, self._restarted, self.track_state = None, restarted, state
         if state is not last:
             self.state, self.reason = state.label, state.reason
         if late:
@@ -157,32 +155,50 @@ class Tracker:
             self._leave_out(clean.stamp, "older than the last one")
             return estimate
         self._left_out_in_a_row = 0
-        if clock.message and (estimate is None or clean.stamp - clock.restarted_at <= MAX_JUMP):
+        message, since = restarted
+        if message and (estimate is None or clean.stamp - since <= MAX_JUMP):
             self.state = "lost" if self.state == "lost" else "uncertain"
-            self.reason = "; ".join(filter(None, (clock.message, self.reason)))
+            self.reason = "; ".join(filter(None, (message, self.reason)))
         return estimate
 
-    def resume(self, track_state: TrackState) -> None:
-        """Continues from a state of this tracker, or of another one with the same rig, object and settings."""
-        if not isinstance(track_state, TrackState):
-            raise InvalidInput(f"track_state: expected a TrackState, got {type(track_state).__name__}")
-        self.track_state, self._clock, self._left_out_in_a_row = track_state, TrackClock(), 0
-        self.state, self.reason = track_state.label, track_state.reason
+    def _complete(self, observation: Observation) -> Observation:
+        """Returns the observation with the positions of the coupled joints that were not measured."""
+        joints = observation.joint_positions
+        known = None if joints is None else self.rig.hand.couplings.completed(joints)
+        return observation if known is joints else replace(observation, joint_positions=known)
+
+    def close(self) -> None:
+        """Ends the thread of `TrackerSettings.concurrent_images`, if there is one; no update may follow."""
+        self.track_state.images.close()
+
+    def _hold(self, observation: Observation, ahead: float) -> PoseEstimate | None:
+        """Holds an observation back whose stamp is so far `ahead` of the last one [s]; returns the last answer."""
+        if self._held is not None:
+            self.late += 1
+        self._held = observation
+        self._leave_out(None, f"its stamp is {ahead:+.1f} s from the last one, and no other confirms it")
+        return self.estimate
+
+    def _new_track(self) -> TrackState:
+        """Returns the state at which a new track begins, which keeps what was learnt of the robot."""
+        last = self.track_state
+        return replace(
+            self.follower.initial(last.start, last.offsets),
+            corrections=last.corrections,
+            learnt_from=last.learnt_from,
+        )
 
     def vision_bias(self) -> tuple[Array, Array] | None:
         """Returns the constant part (6,) of vision's error, see `PoseAndBias.vision_bias`, and its covariance (6, 6).
 
         Vision and contacts together estimate it, the more the palm turns; None before there were both.
         """
-        state = self._vision_errors()
-        return None if state is None else (state.vision_bias, state.covariance[6:12, 6:12])
-
-    def vision_drift(self) -> tuple[Array, Array] | None:
-        """Returns the part (6,) of vision's error that lasts for the rig's `correlation_time`, and its covariance
-        (6, 6): a shift of the object's origin [m] and a turn [rad] along the mount's axes; None where the bias is.
-        """
-        state = self._vision_errors()
-        return None if state is None else (state.rest[:6], state.covariance[12:18, 12:18])
+        known = self.track_state
+        if known.smoother is None or known.correction is None or known.vision.mount is None:
+            return None
+        estimate = known.correction.estimate
+        state = known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
+        return state.vision_bias, state.covariance[6:12, 6:12]
 
     def vision_latency(self) -> tuple[float, float] | None:
         """Returns how much older vision's poses are than their stamps, and its standard deviation [s].
@@ -194,13 +210,6 @@ class Tracker:
         if known.smoother is None or known.vision.mount is None:
             return None
         return known.smoother.latency, float(np.sqrt(known.smoother.solved.covariance[18, 18]))
-
-    def _vision_errors(self) -> PoseAndBias | None:
-        known = self.track_state
-        if known.smoother is None or known.correction is None or known.vision.mount is None:
-            return None
-        estimate = known.correction.estimate
-        return known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
 
     @property
     def stamp(self) -> float:
@@ -263,11 +272,6 @@ class Tracker:
         return self.follower.table(self.track_state)
 
     @property
-    def misfits(self) -> dict[str, Misfit]:
-        """How well each finger, vision, and the answer's motion have fitted the model over the last second, by name."""
-        return self.track_state.innovations.misfits
-
-    @property
     def slip(self) -> Slip:
         """Whether the object slips, and how near each finger is to slipping."""
         return self.track_state.slip.now
@@ -287,21 +291,6 @@ class Tracker:
         """How many depth images were evaluated (`looked_at`), in how many of them the object was detected
         (`object_seen`), how often the palm was searched for (`hand_sought`) and detected; empty without images."""
         return self.track_state.images.counts
-
-    @property
-    def links(self) -> tuple[str, ...]:
-        """Links of the hand whose shapes the object cannot be inside."""
-        return self.follower.hand.links
-
-    @property
-    def link_margins(self) -> dict[str, float]:
-        """By link whose shape is too large (it is inside objects that contacts fit): how much smaller it is [m]."""
-        return self.track_state.margins.known
-
-    @property
-    def unconfirmed(self) -> int:
-        """How many jumps ahead the next observation may still undo."""
-        return len(self._clock.unconfirmed)
 
     def _leave_out(self, stamp: object, reason: str) -> None:
         """Counts an observation that was left out, and says that the object is lost after too many."""

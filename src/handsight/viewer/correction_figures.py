@@ -16,15 +16,18 @@ from handsight.correction import PosePrior
 from handsight.errors import HandsightError, needing
 from handsight.files import write_errors
 from handsight.objects import ObjectModel
-from handsight.viewer.shapes import creases, direction_line, middle
+from handsight.viewer.shapes import creases, middle, open_direction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
 
+MM = 1000  # in a metre
+
+
 class CorrectionPanel(NamedTuple):
-    """A `CorrectionPanel` is a correction problem and its answer."""
+    """A correction problem and its answer."""
 
     model: ObjectModel
     contacts: Contacts
@@ -38,13 +41,7 @@ def new_figure(width: float = 1, height: float = 1) -> "Figure":
     Without pyplot, which reads files of styles when it loads.
     """
     with needing("plotting needs matplotlib", "plot"):
-        from matplotlib import artist
-    # It writes a page of documentation for each of its classes when it loads, which takes a third of that time.
-    documented, artist.kwdoc = artist.kwdoc, lambda artist: ""
-    try:
         from matplotlib.figure import Figure
-    finally:
-        artist.kwdoc = documented
     return Figure((width, height), layout="constrained")
 
 
@@ -52,7 +49,7 @@ def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
     """Writes the panels to an image file; raises MissingExtra, HandsightError."""
     columns = min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    figure = new_figure(5.6 * columns, 5.4 * rows)
+    figure = new_figure(6 * columns, 6 * rows)
     for i, panel in enumerate(panels):
         _draw(figure.add_subplot(rows, columns, i + 1, projection="3d"), panel)
     save(figure, path)
@@ -60,10 +57,12 @@ def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
 
 def save(figure: "Figure", path: Path) -> None:
     """Writes a figure with one legend to an image file, whose suffix is its format; raises HandsightError."""
-    legends = [axes.get_legend_handles_labels() for axes in figure.axes]
-    labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
-    below: Any = {"loc": "outside lower center", "ncols": min(len(labelled), 7), "frameon": False}
-    figure.legend(labelled.values(), labelled, **below)
+    labelled = dict[str, Any]()
+    for axes in figure.axes:
+        labelled |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    handles = list(labelled.values())
+    labels = list(labelled)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 7))
     with write_errors(path):
         try:
             figure.savefig(path, dpi=130)
@@ -72,52 +71,43 @@ def save(figure: "Figure", path: Path) -> None:
 
 
 def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
-    """Draws a problem and its answer in the palm's frame."""
-    model, answer, red, blue = panel.model, panel.answer, "#c2185b", "#1565c0"
+    """Draws a problem and its answer in the palm's frame [mm]."""
+    model = panel.model
+    answer = panel.answer
+    red, blue = "#c2185b", "#1565c0"
     T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
-    shown = [draw_object(axes, model, T, "#e0a100", "corrected")]
+    _draw_object(axes, model, T, "#e0a100", "corrected")
     if panel.vision is not None:
-        shown.append(draw_object(axes, model, panel.vision.T_palm_object, "0.55", "vision"))
-    points, normals = panel.contacts.points_palm, panel.contacts.normals_palm
-    arrow = 0.22 * model.diameter
+        _draw_object(axes, model, panel.vision.T_palm_object, "grey", "vision")
+    points = MM * panel.contacts.points_palm
+    arrows = MM / 5 * model.diameter * panel.contacts.normals_palm
     outliers = np.isin(np.arange(len(points)), answer["outliers"])
-    axes.scatter(*points[~outliers].T, color=red, s=28, depthshade=False, label="contact, its normal")
+    axes.scatter(*points[~outliers].T, color=red, depthshade=False, label="contact, its normal")
     if outliers.any():
-        axes.scatter(*points[outliers].T, color="k", marker="x", s=50, depthshade=False, label="rejected")
-    axes.quiver(*points.T, *(arrow * normals).T, color=red, linewidth=1.4)
-    # Directions that touch leaves open: a double arrow for a slide, an arc with one arrowhead for a turn.
+        axes.scatter(*points[outliers].T, color="k", marker="x", depthshade=False, label="rejected")
+    axes.quiver(*points.T, *arrows.T, color=red)
+    # Directions that touch leaves open: two arrows for a slide, an arc with a dot at its end for a turn.
     center = middle(model, T)
-    for k, direction in enumerate(answer["unobservable"]):
-        line, turn = direction_line(np.asarray(direction), center, model)
-        axes.plot(*line.T, color=blue, linewidth=2.2, label=None if k else "open to touch")
-        ends = [(line[-2], 4 * (line[-1] - line[-2]))] if turn else [(center, end - center) for end in line]
-        for start, shift in ends:
-            axes.quiver(*start, *shift, color=blue, linewidth=2.2, arrow_length_ratio=1.0 if turn else 0.12)
-    # Equal limits around everything, and labels in millimetres.
-    everything = np.vstack([*shown, points])
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    half = (high - low).max() / 2
-    axes.set_box_aspect((1, 1, 1))
-    axes.view_init(elev=22, azim=-58)
-    for name, value in zip("xyz", (low + high) / 2, strict=True):
-        axes.set(**{f"{name}lim": (value - half, value + half)})
-        axis = getattr(axes, f"{name}axis")
-        axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
-        axis.set_tick_params(labelsize=7)
-        axis.set_label_text(f"palm {name} [mm]", fontsize=8)
+    for direction in answer["unobservable"]:
+        straight, arc = open_direction(np.asarray(direction), center, model)
+        starts, ends = MM * straight.swapaxes(0, 1)
+        axes.quiver(*starts.T, *(ends - starts).T, color=blue, linewidth=2)
+        axes.plot(*(MM * arc).T, color=blue, linewidth=2, marker="o", markevery=[-1], label="open to touch")
+    axes.set_aspect("equal")
+    axes.locator_params(nbins=5)
+    axes.set(xlabel="palm x [mm]", ylabel="palm y [mm]", zlabel="palm z [mm]")
     fit = "fits" if answer["consistent"] else "does NOT fit"
-    axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}", fontsize=11)
+    axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}")
 
 
-def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
-    """Draws the object's sharp edges and points of its surface; returns the points (n, 3) in the palm [m]."""
+def _draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color: str, label: str) -> None:
+    """Draws the object's sharp edges, and points of its surface."""
     cloud, _ = model.sample(900)
-    cloud = se3.apply(T_palm_object, cloud)
-    axes.scatter(*cloud.T, s=1.6, color=color, alpha=0.45, depthshade=False)
-    segments = se3.apply(T_palm_object, creases(model).reshape(-1, 3)).reshape(-1, 2, 3)
+    cloud = MM * se3.apply(T_palm_object, cloud)
+    axes.scatter(*cloud.T, s=2, color=color, alpha=0.5, depthshade=False)
+    segments = MM * se3.apply(T_palm_object, creases(model).reshape(-1, 3)).reshape(-1, 2, 3)
     if len(segments):  # matplotlib refuses an empty collection
         from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-        axes.add_collection3d(Line3DCollection(segments, colors=color, linewidths=1.3))
-    axes.plot([], [], [], color=color, linewidth=3, label=label)
-    return cloud
+        axes.add_collection3d(Line3DCollection(segments, colors=color))
+    axes.plot([], [], [], color=color, label=label)

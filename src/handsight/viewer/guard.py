@@ -22,22 +22,21 @@ CLOSE_TIMEOUT = 0.1  # given to a browser to answer that the page ends [s]
 
 
 class Guard:
-    """A `Guard` answers 403 to a request whose Host is not this machine, whose Origin is another page, or that has
+    """Answers 403 to a request whose Host is not this machine, whose Origin is another page, or that has
     neither the page's token in its URL nor the cookie that was set when it had."""
 
-    def __init__(self, opened: Callable[[dict[str, list[str]]], None]) -> None:
-        """`opened` is called with the fields of the URL by which a browser opens the page."""
+    def __init__(self) -> None:
         self.token = secrets.token_urlsafe(16)
         # A name for each page, as cookies ignore ports.
         self._cookie = f"handsight-{secrets.token_hex(4)}={self.token}"
-        self._opened = opened
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
         """Guards the server that viser starts inside, as it has no option; raises HandsightError if none started."""
         from websockets.asyncio import server
 
-        serve, started = server.serve, list[Any]()
+        serve = server.serve
+        started = list[Any]()
 
         def guarded(*args: Any, process_request: "Answer", **options: Any) -> Any:
             answer = partial(self._answer, process_request)
@@ -56,7 +55,8 @@ class Guard:
         self, answer: "Answer", connection: "ServerConnection", request: "Request"
     ) -> "Response | None":
         """Returns 403 and the reason, or viser's answer."""
-        host, origins = ",".join(request.headers.get_all("Host")), request.headers.get_all("Origin")
+        host = ",".join(request.headers.get_all("Host"))
+        origins = request.headers.get_all("Origin")
         fields = parse_qs(request.path.partition("?")[2])
         given = fields.get("token", [""])[0].encode(errors="replace")
         cookies = ";".join(request.headers.get_all("Cookie")).replace(" ", "").split(";")
@@ -70,5 +70,4 @@ class Guard:
         if response is not None:
             response.headers["Referrer-Policy"] = "no-referrer"
             response.headers["Set-Cookie"] = f"{self._cookie}; HttpOnly; SameSite=Strict"
-            self._opened(fields)
         return response

@@ -6,7 +6,6 @@ most 30 a second, fewer on a busy machine, and none while no browser is open.
 """
 
 import contextlib
-import math
 import os
 import signal
 import subprocess
@@ -19,38 +18,23 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Self
 
-import numpy as np
-
-from handsight.checks import Array
 from handsight.errors import HandsightError
-from handsight.forces import Slip
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking import State, Tracker
-from handsight.tracking.camera_from_palm import CameraFromPalm
+from handsight.tracking import Tracker
 from handsight.viewer.moment import Moment
-from handsight.viewer.page import PAGE, Page
-from handsight.viewer.picture import picture
-from handsight.viewer.timeline import TIMELINE, Curves, in_mm, slips_of
-
-
-class Shot(NamedTuple):
-    """A `Shot` is an observation with images, and the camera's pose as estimated then."""
-
-    observation: Observation
-    from_palm: CameraFromPalm
-    T_world_palm: Array | None
+from handsight.viewer.page import PAGE_PORT, Page
+from handsight.viewer.picture import Shot, picture
+from handsight.viewer.timeline import TIMELINE_FRAME, curves
 
 
 class PageUpdate(NamedTuple):
-    """A `PageUpdate` is one frame for the page to draw."""
+    """One frame for the page to draw."""
 
     begins: tuple[Rig, ObjectModel] | None  # the rig and the object, if they have changed; else None
     moment: Moment
-    origin: float  # stamp from which the page counts time [s]
     shot: Shot | None  # the newest image, if there is a new one; else None
-    curves: Curves | None  # the curves, if they have changed; else None
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
@@ -97,7 +81,9 @@ def serve(pipe: "Connection[Any, Any]") -> None:
 def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
     """Draws frames until one is None, or until a message arrives that was not asked for. It asks for each frame with
     True, and sends False when no browser is open."""
+    past = deque[Moment](maxlen=MINUTE)
     last: Moment | None = None
+    drawn = 0
     while True:
         if not page.watched:
             pipe.send(False)
@@ -109,22 +95,28 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
         if frame is None:
             return
         began = time.monotonic()
+        moment = frame.moment
         if frame.begins is not None:
-            (rig, model), last = frame.begins, None
+            rig, model = frame.begins
+            last = None
             page.begin(rig, model, model.name)
-        last = frame.moment.after(last, None if frame.shot is None else picture(rig, *frame.shot))
-        page.origin = frame.origin
+        if last is None or moment.stamp < last.stamp:  # another object, or the clock was set back
+            past.clear()
+            page.origin = moment.stamp
+        last = moment.after(last, None if frame.shot is None else picture(rig, frame.shot))
+        past.append(moment)
         page.draw(last)
-        if frame.curves is not None:
-            page.draw_curves(frame.curves, last.stamp - frame.origin)
-        time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - began)))
+        if drawn % 8 == 0:
+            page.draw_curves(curves(past, page.origin), moment.stamp - page.origin)
+        drawn += 1
+        time.sleep(max(0.0, TIMELINE_FRAME - (time.monotonic() - began)))
 
 
-END_TIMEOUT = 5.0  # given to a page to end [s]
-NOTE_PERIOD = 0.1  # between notes for the curves [s]
+END_TIMEOUT = 5  # given to a page to end [s]
+MINUTE = 1800  # frames of which the curves are plotted
 
 
-def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
+def view(tracker: Tracker, *, port: int = PAGE_PORT, say: Callable[[str], None] = print) -> "Viewer":
     """Returns a page that shows a tracker at work in any browser of this machine; `Viewer.update` shows its newest
     estimate.
 
@@ -145,7 +137,7 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
 
 
 class NullViewer:
-    """A `NullViewer` has the methods of a `Viewer` and does nothing, for a program that is to show nothing."""
+    """Has the methods of a `Viewer` and does nothing, for a program that is to show nothing."""
 
     address = ""  # address of the page for a browser; empty: there is no page
     watched = False  # whether a browser is open on the page
@@ -164,13 +156,14 @@ class NullViewer:
 
 
 class Viewer(NullViewer):
-    """A `Viewer` shows the newest estimate of a tracker, at most 30 times a second, and nothing while nobody watches.
+    """Shows the newest estimate of a tracker, at most 30 times a second, and nothing while nobody watches.
     It may be updated at any rate, and draws in a process of its own."""
 
-    def __init__(self, tracker: Tracker, *, port: int = PAGE.port) -> None:
+    def __init__(self, tracker: Tracker, *, port: int = PAGE_PORT) -> None:
         """See `view`."""
         self._pipe, self._process = begin()
-        self._changed, self._sending = threading.Event(), threading.Lock()
+        self._changed = threading.Event()
+        self._sending = threading.Lock()
         self._shown = tracker.rig, tracker.model
         self._send((*self._shown, port))
         try:
@@ -180,14 +173,10 @@ class Viewer(NullViewer):
         if isinstance(answer, HandsightError):
             self._end_process()
             raise answer
-        self.address, self._closed = answer, False
-        self._newest: tuple[Tracker, Moment | None] | None = None
-        """The tracker to be shown, and its moment if a browser is open."""
-        self._shot: Shot | None = None
-        self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
-        self._past = deque[tuple[float, float, State, Slip]](maxlen=600)  # a minute
-        """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
-        self._noted = self._plotted = self._origin = -math.inf
+        self.address = answer
+        self._closed = False
+        self._tracker = tracker
+        self._shots = deque[Shot](maxlen=1)  # the newest image that the page does not have
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
 
@@ -199,19 +188,11 @@ class Viewer(NullViewer):
         """
         if observation.stamp != tracker.stamp:
             return  # the observation came late, and the tracker has ignored it
-        now = time.monotonic()
-        if now - self._noted >= NOTE_PERIOD:
-            self._noted = now
-            if not self._past or tracker.stamp < self._past[-1][0]:
-                self._origin = tracker.stamp
-                self._past.clear()
-            self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
-        if observation.color is not None or observation.depth is not None:
-            camera_from_palm = tracker.vision.camera_from_palm
-            self._shot = Shot(observation, camera_from_palm, tracker.T_world_palm)
-        self._newest = tracker, Moment.now(tracker) if self.watched else None
-        if self.watched:
-            self._changed.set()
+        shot = Shot.now(tracker)
+        if shot is not None:
+            self._shots.append(shot)
+        self._tracker = tracker
+        self._changed.set()
 
     def close(self) -> None:
         """Ends the page."""
@@ -241,29 +222,16 @@ class Viewer(NullViewer):
         with contextlib.suppress(EOFError, OSError):
             while True:
                 self.watched = self._pipe.recv()
-                while self.watched and not self._closed:
-                    self._changed.wait(0.1)  # [s]
-                    self._changed.clear()
-                    newest, shot = self._newest, self._shot
-                    if newest is None or newest is self._sent[0]:
-                        continue
-                    (tracker, moment), shown = newest, self._shown
-                    self._shown = tracker.rig, tracker.model
-                    begins = None if self._shown == shown else self._shown
-                    moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
-                    new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
-                    curves = self._curves()
-                    self._send(PageUpdate(begins, moment, self._origin, new_shot, curves))
-                    break
+                if not self.watched:
+                    continue
+                self._changed.wait()
+                if self._closed:
+                    continue
+                self._changed.clear()
+                tracker = self._tracker
+                shown = self._shown
+                self._shown = tracker.rig, tracker.model
+                begins = None if self._shown == shown else self._shown
+                shot = self._shots.pop() if self._shots else None
+                self._send(PageUpdate(begins, Moment.now(tracker), shot))
         self.watched = False
-
-    def _curves(self) -> Curves | None:
-        """Returns the curves of the last minute; None if they were just plotted."""
-        now = time.monotonic()
-        if now - self._plotted < 0.25:  # [s]
-            return None
-        self._plotted = now
-        notes, origin = list(self._past), self._origin
-        slips = [(first - origin, last - origin) for first, last in slips_of(note[::3] for note in notes)]
-        times, sigmas = np.array([note[0] for note in notes]) - origin, in_mm([note[1] for note in notes])
-        return Curves(times, sigmas, None, [note[2] for note in notes], slips)

@@ -1,7 +1,7 @@
 """A tracker's estimate and evidence at one instant, as the viewer shows them, and a sentence that sums them up."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -11,19 +11,18 @@ from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
-from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import FingertipContacts, State, Tracker
-from handsight.tracking.replay import Step
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.viewer.picture import Picture
 
 VISION_FOR = 1.0  # how long the last measurement of vision is shown [s]
 LIKELY = 0.02  # smallest probability of another mode that is shown
+NEAR_SLIPPING = 0.8  # share of what friction holds from which the sentence says it
 
 
 class Measured(NamedTuple):
-    """A `Measured` is the last pose that vision measured."""
+    """The last pose that vision measured."""
 
     stamp: float  # [s]
     T_palm_object: Array  # (4, 4), vision's bias included
@@ -31,7 +30,7 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Moment:
-    """A `Moment` is an estimate and the observation after which it was computed."""
+    """An estimate and the observation after which it was computed."""
 
     stamp: float  # [s]
     state: State
@@ -48,16 +47,23 @@ class Moment:
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
-        """Returns the moment of a tracker after the last observation that it has processed."""
-        vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
-        return cls.of(tracker, tracker.processed, vision)
+        """Returns the moment of a tracker after the last observation that it has processed.
 
-    @classmethod
-    def of(cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None) -> "Moment":
-        """Returns the moment of a tracker, or of a step of a replay, by its observation and vision's pose (4, 4)."""
-        names = "stamp state reason estimate sigma fingertips T_world_palm slip skin"
+        It is of one state, which is a value: another thread may update the tracker meanwhile.
+        """
+        known = tracker.track_state
+        observation = known.processed
+        T_vision = known.vision.in_palm(observation, known.T_world_palm)
         return cls(
-            **{name: getattr(known, name) for name in names.split()},
+            stamp=known.stamp,
+            state=known.label,
+            reason=known.reason,
+            estimate=known.estimate,
+            sigma=tracker.follower.sigma(known),
+            fingertips=known.fingertips,
+            T_world_palm=known.T_world_palm,
+            slip=known.slip.now,
+            skin=known.skin,
             joint_positions=None if observation is None else observation.joint_positions,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
         )
@@ -96,36 +102,24 @@ class Moment:
     @property
     def sentence(self) -> str:
         """A sentence with the state, why it is no better, and the evidence for the estimate."""
-        estimate, fingers = self.estimate, self.fingertips.fingers
+        estimate = self.estimate
+        fingers = self.fingertips.fingers
         parts = [self.reason] if self.reason else []
-        if len(fingers) > 1:
+        if fingers:
             fit = " and fit the object" if estimate is not None and estimate.consistent else ""
-            parts.append(f"{_listed(fingers)} touch{fit}")
-        elif fingers:
-            parts.append(f"only {fingers[0]} touches")
+            parts.append(f"{', '.join(fingers)} touch{fit}")
         elif "touched" not in self.reason:
             parts.append("no finger touches")
         if estimate is not None:
             least = self.slip.least or 0.0
-            if least >= 0.8 and not self.slip.slipping:
+            if least >= NEAR_SLIPPING and not self.slip.slipping:
                 parts.append(f"the grip uses {least:.0%} of what friction holds")
             if self.outliers:
-                parts.append(f"{_listed(self.outliers)} left out as wrong")
+                parts.append(f"{', '.join(self.outliers)} left out as wrong")
             if math.isfinite(self.sigma) and "known to" not in self.reason:
-                digits = 0 if self.sigma >= 0.01 else 1
-                parts.append(f"the position is known to {1e3 * self.sigma:.{digits}f} mm")
-            rows = estimate.unobservable
-            if fingers and len(rows):
-                counts = ("no", "a", "two", "three", "four", "five", "six")
-                slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
-                kinds = ((slides, "slide"), (len(rows) - slides, "turn"))
-                flat = " and ".join(f"{counts[n]} {name}{'s' * (n > 1)}" for n, name in kinds if n)
-                parts.append(f"touch leaves {flat if len(rows) < 6 else 'every direction'} open")
-            others = [mode.weight for mode in estimate.hypotheses[1:] if mode.weight >= LIKELY]
-            if others:
+                parts.append(f"the position is known to {1000 * self.sigma:.1f} mm")
+            if fingers and len(estimate.unobservable):
+                parts.append(f"touch leaves {len(estimate.unobservable)} of 6 directions open")
+            if others := [mode.weight for mode in estimate.hypotheses[1:] if mode.weight >= LIKELY]:
                 parts.append(f"another pose is likely by {others[0]:.0%}")
         return f"{self.state.capitalize()}: {'; '.join(parts)}."
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

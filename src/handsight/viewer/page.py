@@ -4,15 +4,13 @@ import contextlib
 import io
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Set
 from importlib import import_module
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, needing
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
@@ -23,19 +21,10 @@ from handsight.viewer.picture import Picture
 from handsight.viewer.scene import LAYERS, Color, MomentScene
 from handsight.viewer.timeline import Curves
 
-
-class PageOptions(NamedTuple):
-    """`PageOptions` say where the page is served, and how often it is drawn."""
-
-    host: str = "127.0.0.1"  # this machine alone
-    port: int = 8080  # the default
-    max_port: int = 65535  # the largest port
-    min_change: float = 1e-3  # change of a pose, in any number, from which its outline on an image is redrawn
-    image_period: float = 0.1  # between two outlines on the same image [s]
-    distance: float = 2.4  # of the camera from object and palm, relative to half their span
-
-
-PAGE = PageOptions()
+PAGE_HOST = "127.0.0.1"  # this machine alone
+PAGE_PORT = 8080  # the default
+MAX_PORT = 65535  # the largest port
+DISTANCE = 0.25  # of the camera from object and palm, about [m]
 
 
 def require_viser() -> ModuleType:
@@ -45,24 +34,22 @@ def require_viser() -> ModuleType:
 
 
 class Page:
-    """A `Page` is a server for this machine alone, with the scene and the panel on its page."""
+    """A server for this machine alone, with the scene and the panel on its page."""
 
     def __init__(
-        self, rig: Rig, model: ObjectModel, *, port: int = PAGE.port, title: str = "handsight"
+        self, rig: Rig, model: ObjectModel, *, port: int = PAGE_PORT, title: str = "handsight"
     ) -> None:
         """Serves the page at `port`, or at the next free one; raises MissingExtra, or HandsightError where none is."""
         viser = require_viser()
-        if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
-            raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
-        self.on_open: Callable[[dict[str, list[str]]], None] | None = None
-        """Called with the fields of the URL when a browser opens the page; None: moments have no addresses."""
-        self.guard = Guard(lambda fields: None if self.on_open is None else self.on_open(fields))
+        if not 1 <= port <= MAX_PORT:  # viser would wait for ever
+            raise InvalidInput(f"port: expected a number from 1 to {MAX_PORT}, got {port}")
+        self.guard = Guard()
         # What is no message of a browser ends its connection, and needs no traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
             # viser prints a banner.
             with contextlib.redirect_stdout(io.StringIO()), self.guard.installed():
-                self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
+                self.server = viser.ViserServer(host=PAGE_HOST, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
         self.port: int = self.server.get_port()  # the port at which the page is served
@@ -73,13 +60,13 @@ class Page:
 
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
-        self._rig, self._model = rig, model
+        self._rig = rig
+        self._model = model
         self.origin = 0.0
-        """Stamp from which the page counts time, in the title, the plot and links [s]."""
+        """Stamp from which the page counts time, in the title and the plot [s]."""
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
-        self._aimed = False
-        self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
-        """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
+        self._drawn: tuple[Picture | None, Set[Color]] = None, set()
+        """The image on the page, and the colours of its outlines."""
         self.last: Moment | None = None  # the moment that is shown
         with self.server.atomic():
             self.server.scene.reset()
@@ -91,7 +78,7 @@ class Page:
     @property
     def address(self) -> str:
         """Address of the page for a browser, with the token without which nobody may read it."""
-        return f"http://{PAGE.host}:{self.port}/?token={self.guard.token}"
+        return f"http://{PAGE_HOST}:{self.port}/?token={self.guard.token}"
 
     @property
     def watched(self) -> bool:
@@ -101,14 +88,11 @@ class Page:
     def draw(self, moment: Moment) -> None:
         """Shows a moment in place of the last one."""
         with self._lock, self.server.atomic():
-            self._aim(moment)
+            if self.last is None:
+                self._aim(moment)
             forces = moment.forces()
             self.scene.draw(moment, forces)
-            time = f"{moment.stamp - self.origin:.2f}"
-            when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'
-            if self.on_open is not None:
-                when += f' · <a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
-            self.panel.draw(moment, forces, when)
+            self.panel.draw(moment, forces, moment.stamp - self.origin)
             self._draw_picture(moment)
             self.last = moment
 
@@ -129,46 +113,34 @@ class Page:
 
     def _draw_picture(self, moment: Moment) -> None:
         """Draws the image with the outlines of vision's pose and of the corrected one."""
-        shown, estimate = moment.picture, moment.estimate
+        shown = moment.picture
         if shown is None:
             return
         outlines = {}
         # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
         for name, known, T_camera_palm in (
             ("vision", moment.vision, shown.T_camera_palm_calibrated),
-            ("object", estimate, shown.T_camera_palm),
+            ("object", moment.estimate, shown.T_camera_palm),
         ):
             if known is not None and T_camera_palm is not None and self.scene.layers[name]:
                 outlines[LAYERS[name][1]] = T_camera_palm @ known.T_palm_object
-        before, stamp, drawn = self._drawn
-        if shown is before and outlines.keys() == drawn.keys():
-            moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)
-            if moved < PAGE.min_change or abs(moment.stamp - stamp) < PAGE.image_period:
-                return
-        self._drawn = shown, moment.stamp, outlines
-        self.panel.draw_image(shown.with_outlines(self._model, outlines))
+        drawn = shown, outlines.keys()
+        if drawn != self._drawn:
+            self._drawn = drawn
+            self.panel.draw_image(shown.with_outlines(self._model, outlines))
 
     def _aim(self, moment: Moment) -> None:
-        """Aims all cameras at the hand from the side, the world's vertical upright, when the first moment is drawn."""
-        if self._aimed:
-            return
-        self._aimed = True
-        places = [T[:3, 3] for T in moment.links(self._rig).values()] or [np.zeros(3)]
-        if moment.estimate is not None:
-            places.append(moment.estimate.T_palm_object[:3, 3])
-        low, high = np.min(places, axis=0), np.max(places, axis=0)
-        center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
+        """Aims all cameras at hand and object from the side, the world's vertical upright."""
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
         # The view is across the line from palm to object, from above and the palm's side: the hand is in front.
-        along = places[-1] - places[0]
+        along = np.zeros(3) if moment.estimate is None else moment.estimate.T_palm_object[:3, 3]
         across = np.cross(up, along)
-        if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
+        if not across.any():
             across = se3.perpendicular(up)
         across = across / np.linalg.norm(across)
-        view = across - 0.45 * np.cross(across, up) + 0.4 * up
-        position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))
+        view = across + (up - np.cross(across, up)) / 2
         self.server.scene.set_up_direction(up)
         self.server.initial_camera.up = up
         for camera in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
-            for name, value in (("position", position), ("look_at", center)):  # viser asks for this order
-                setattr(camera, name, value)
+            camera.position = along / 2 + DISTANCE * view
+            camera.look_at = along / 2  # viser asks for this order

@@ -11,6 +11,7 @@ from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 
+REACH = 0.6  # of what is drawn of an open direction, relative to the object's size
 SIGMAS_95 = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
 
 
@@ -19,7 +20,8 @@ def creases(model: ObjectModel) -> Array:
     if not len(model.faces):
         return np.empty((0, 2, 3))
     surface = Triangles(model.vertices, model.faces)
-    edges, (a, b) = surface.edges, (surface.doubled_normals[of // 3] for of in surface.shared)
+    edges = surface.edges
+    a, b = (surface.doubled_normals[of // 3] for of in surface.shared)
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     sharp = edges.vertices[edges.counts == 2][(a * b).sum(axis=1) < np.cos(np.deg2rad(25)) * lengths]
     return np.asarray(model.vertices[np.concatenate([sharp, edges.vertices[edges.counts == 1]])])
@@ -31,10 +33,9 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
         return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
     points = se3.apply(T_camera_object, model.sample(6000)[0])
     depth = np.full(camera.size[::-1], np.inf, dtype=np.float32)
-    pixels = camera.project(points)
-    inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1)
-    inside &= (pixels < np.array(camera.size) - 0.5).all(axis=1)
-    u, v = np.round(pixels[inside]).astype(int).T
+    pixels = np.round(camera.project(points))
+    inside = ((pixels >= 0) & (pixels < camera.size)).all(axis=1)  # NaN is not
+    u, v = pixels[inside].astype(int).T
     np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
     # Each point is a dot in front of what is behind it.
     image = scipy.ndimage
@@ -46,8 +47,8 @@ def grey(depth: Depth) -> Array:
     """Returns a depth image (h, w) [m] as red, green, blue (h, w, 3) from 0 to 1, near light, black without depth."""
     known = np.isfinite(depth) & (depth > 0)
     near, far = np.percentile(depth[known][::16], [1, 95]) if known.any() else (0, 1)
-    share = np.clip((np.where(known, depth, 1) - near) / max(far - near, 1e-6), 0, 1)
-    return np.repeat(np.where(known, 0.9 - 0.75 * share, 0)[..., None], 3, axis=2)
+    share = np.clip((np.where(known, depth, 1) - near) / ((far - near) or 1), 0, 1)
+    return np.repeat(np.where(known, 1 - share / 1.25, 0)[..., None], 3, axis=2)
 
 
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
@@ -55,20 +56,24 @@ def middle(model: ObjectModel, T_palm_object: Array) -> Array:
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
-def direction_line(direction: Array, center: Array, model: ObjectModel) -> tuple[Array, bool]:
-    """Returns a line (n, 3) in the palm [m] for a direction (6,) of `PoseEstimate.unobservable`; whether it is a turn.
+def open_direction(direction: Array, center: Array, model: ObjectModel) -> tuple[Array, Array]:
+    """Returns what is drawn of a direction (6,) of `PoseEstimate.unobservable`, in the palm [m]: arrows (m, 2, 3), and
+    an arc (n, 3).
 
-    A slide has two ends. A turn is an arc about the object's middle `center` (3,), where it leaves the drawn object in
-    place, with an arrowhead at its last point.
+    A slide has an arrow to either side, and no arc. A turn has an arc about the object's middle `center` (3,), where it
+    leaves the drawn object in place, and an arrow at the end of the arc.
     """
-    if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
-        reach = 0.65 * model.diameter * direction[:3] / np.linalg.norm(direction[:3])  # half a double arrow
-        return np.stack([center - reach, center + reach]), False
-    axis = direction[3:] / np.linalg.norm(direction[3:])
+    shift = direction[:3]
+    turn = direction[3:]
+    if np.linalg.norm(shift) >= np.linalg.norm(turn):
+        reach = REACH * model.diameter * shift / np.linalg.norm(shift)
+        return np.array([[center, center - reach], [center, center + reach]]), np.zeros((0, 3))
+    axis = turn / np.linalg.norm(turn)
     side = se3.perpendicular(axis)
-    angle = np.linspace(0, 1.6 * np.pi, 60)[:, None]
+    angle = np.linspace(0, 5, 60)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return center + 0.62 * model.radius * ring, True
+    arc = center + REACH * model.radius * ring
+    return arc[None, [-6, -1]], arc
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> tuple[Array, Array]:

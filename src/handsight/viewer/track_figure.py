@@ -8,75 +8,57 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction.estimate import point_uncertainty
-from handsight.evaluation import Truths, base_center
+from handsight.evaluation import Truths
 from handsight.objects import ObjectModel
 from handsight.tracking.replay import Step
 from handsight.viewer.correction_figures import new_figure, save
+from handsight.viewer.panel import SLIP, STATES
 from handsight.viewer.timeline import slips_of
 
 
 def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Truths, path: Path) -> None:
-    """Writes x, y and z of the base's centre over time to an image file; raises MissingExtra, HandsightError."""
+    """Writes x, y and z of the object's middle over time to an image file; raises MissingExtra, HandsightError."""
     figure = new_figure(9, 9)
-    from matplotlib.colors import ListedColormap
-
-    times = np.array([step.stamp - steps[0].stamp for step in steps])
-    curves, bases = _curves(model, steps, truths)
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 0.5])
-    pink, grey = "#c2185b", "0.6"
-    for k, axis in enumerate("xyz"):
-        tracked, vision, true, sigma = curves[:, :, k]
-        low, high = tracked - sigma, tracked + sigma
-        axes[k].fill_between(times, low, high, color=pink, alpha=0.15, lw=0, label="tracked, ± 1 σ")
-        axes[k].plot(times, vision, "o", mfc="none", mec=grey, ms=4, label="vision")
-        axes[k].plot(times, tracked, color=pink, lw=1.5, label="tracked")
-        known = np.flatnonzero(np.isfinite(true))
-        axes[k].plot(times[known][::10], true[known][::10], ".", color="black", ms=4, label="truth")
+    begin = steps[0].stamp
+    times = np.array([step.stamp - begin for step in steps])
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=[6, 6, 6, 1])
+    pink = "#c2185b"
+    curves = _curves(model, steps, truths)
+    for plot, axis, (tracked, vision, true, sigma) in zip(axes, "xyz", curves, strict=False):
+        plot.fill_between(times, tracked - sigma, tracked + sigma, color="#f0c5d6", label="tracked, ± 1 σ")
+        plot.plot(times, vision, "o", mfc="none", mec="grey", ms=4, label="vision")
+        plot.plot(times, tracked, color=pink, label="tracked")
+        known = np.flatnonzero(np.isfinite(true))[::10]
+        plot.plot(times[known], true[known], "k.", ms=4, label="truth")
         # The limits ignore sigma: vision's alone would flatten everything else.
         drawn = np.concatenate([tracked, vision, true])
-        low, high = np.nanmin(drawn), np.nanmax(drawn)
-        axes[k].set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
-        axes[k].grid(alpha=0.3)
-        axes[k].set_ylabel(f"{axis} [cm]")
-    # Where the object is turned, another of its sides faces down, and the base's centre jumps.
-    turned = "another side faces down: the base is its middle"
-    for jump in times[1:][(np.abs(np.diff(bases, axis=0)) > 1e-6).any(axis=1)]:
-        for each in axes[:3]:
-            each.axvline(jump, color="0.4", ls=":", lw=1, label=turned)
-    # A strip in the colours of the states; a state lasts until the next stamp.
-    colors = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
-    edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
-    strip = [[list(colors).index(step.state) for step in steps]]
-    axes[3].pcolormesh(edges, [0, 1], strip, cmap=ListedColormap(list(colors.values())), vmin=0, vmax=2)
-    axes[3].set_yticks([])
-    axes[3].set_ylabel("state", rotation=0, ha="right", va="center")
-    for k, (state, color) in enumerate(colors.items()):
-        axes[3].text(0.01 + 0.12 * k, -1.6, state, color=color, transform=axes[3].transAxes, fontsize=9)
-    # A mark over every plot while the object slips.
-    purple, slips = "#6a1b9a", slips_of((step.stamp, step.slip) for step in steps)
-    for first, last in slips:
-        for each in axes:
-            each.axvspan(first - steps[0].stamp, last - steps[0].stamp, color=purple, alpha=0.25, lw=0)
-    if slips:
-        axes[3].text(0.5, -1.6, "slips", color=purple, transform=axes[3].transAxes, fontsize=9)
-    axes[3].set_xlabel("time [s]")
+        plot.set_ylim(np.nanmin(drawn) - 1, np.nanmax(drawn) + 1)
+        plot.grid(visible=True)
+        plot.set_ylabel(f"{axis} [cm]")
+    for state, color in STATES.items():
+        here = [step.state == state for step in steps]
+        axes[3].plot(times[here], np.zeros(sum(here)), "s", ms=9, color=color, label=state)
+    axes[3].set(yticks=[], ylabel="state", xlabel="time [s]")
+    for first, last in slips_of((step.stamp, step.slip) for step in steps):
+        for plot in axes:
+            plot.axvspan(first - begin, last - begin, color=SLIP, alpha=0.25, label="slips")
     world = any(step.T_world_palm is not None for step in steps)
-    axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
+    axes[0].set_title(f"{name}: the object's middle in the {'world' if world else 'palm'}'s frame")
     save(figure, path)
 
 
-def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> tuple[Array, Array]:
-    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one. What is
-    not known is NaN. And the base's centres (n, 3) in the object [m]."""
-    curves, bases = np.full((4, len(steps), 3), np.nan), np.empty((len(steps), 3))
+def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
+    """Returns (3, 4, n) [cm] for x, y, z: the middle as tracked, by vision and true, and the tracked one's sigma; NaN
+    where it is not known."""
+    curves = np.full((3, 4, len(steps)), np.nan)
+    middle = model.center_object
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
-        tracked, truth = step.estimate.T_palm_object, truths.at(step.stamp)
-        base = bases[i] = base_center(model, T_world_palm @ (tracked if truth is None else truth))
-        for k, T in enumerate((tracked, step.T_palm_object_vision, truth)):
-            if T is not None:
-                curves[k, i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
+        poses = step.estimate.T_palm_object, step.T_palm_object_vision, truths.at(step.stamp)
+        for k, T_palm_object in enumerate(poses):
+            if T_palm_object is not None:
+                curves[:, k, i] = 100 * se3.apply(T_world_palm @ T_palm_object, middle[None])[0]
         R = T_world_palm[:3, :3]
-        variance = (R @ point_uncertainty(step.estimate, model, base)[0] @ R.T).diagonal()
-        curves[3, i] = 100 * np.sqrt(variance.clip(min=0.0))
-    return curves, bases
+        variance = (R @ point_uncertainty(step.estimate, model, middle)[0] @ R.T).diagonal()
+        curves[:, 3, i] = 100 * np.sqrt(variance.clip(min=0.0))
+    return curves

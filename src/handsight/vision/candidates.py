@@ -26,7 +26,8 @@ MODEL_ERROR = 1e-3
 def candidates_at(Ts: Array) -> Candidates:
     """Returns CANDIDATE (k,) at poses (k, 4, 4) in the camera."""
     candidates = np.zeros(len(Ts), dtype=CANDIDATE)
-    candidates["pose"]["rotation"], candidates["pose"]["position"] = Ts[:, :3, :3], Ts[:, :3, 3]
+    candidates["pose"]["rotation"] = Ts[:, :3, :3]
+    candidates["pose"]["position"] = Ts[:, :3, 3]
     return candidates
 
 
@@ -49,14 +50,18 @@ def depth_errors(
     unknown: sigma of a pose along a direction that no point observes, of a shift and of radius times a turn [m].
     sigma_pose: of the pose along each axis, beside that of whole pixels [m].
     """
-    focal, variance = camera.matrix[0, 0], noise.sigma(z) ** 2
+    focal = camera.matrix[0, 0]
+    variance = noise.sigma(z) ** 2
     errors = np.zeros(len(z), dtype=DEPTH_ERROR)
-    errors["own"], errors["shared"] = variance * (1 - noise.correlated), variance * noise.correlated
-    errors["smooth"], errors["offset"] = (noise.smooth * z**2) ** 2, noise.offset**2
+    errors["own"] = variance * (1 - noise.correlated)
+    errors["shared"] = variance * noise.correlated
+    errors["smooth"] = (noise.smooth * z**2) ** 2
+    errors["offset"] = noise.offset**2
     errors["shared_decay"] = (focal / noise.correlation) ** 2
     errors["smooth_decay"] = (focal / noise.smooth_length) ** 2
     errors["pose"] = (z / focal) ** 2 / 12 + sigma_pose**2  # pixels are whole numbers: uniform over one
-    errors["known_shift"], errors["known_turn"] = unknown[0] ** -2, unknown[1] ** -2
+    errors["known_shift"] = unknown[0] ** -2
+    errors["known_turn"] = unknown[1] ** -2
     return errors
 
 
@@ -68,10 +73,12 @@ def pose_covariances(
     Of DEPTH_POINT (n,) those within a candidate's bound count, with the errors of `noise`. The error of the model and
     that of whole pixels are added.
     """
-    unknown, z = (UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter), center_depths(model, candidates)
+    unknown = (UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter)
+    z = center_depths(model, candidates)
     errors = depth_errors(camera, noise, z, unknown, float(np.hypot(model.sigma_point, MODEL_ERROR)))
     errors["normal"] = model.sigma_normal**2 / 2
-    informed, covariances = np.empty((len(candidates), 2, 6, 6)), np.empty((len(candidates), 6, 6))
+    informed = np.empty((len(candidates), 2, 6, 6))
+    covariances = np.empty((len(candidates), 6, 6))
     depth_term.pose_covariances(*model.record[:2], points, errors, candidates, informed, covariances)
     return covariances
 
@@ -80,7 +87,8 @@ def distinct(
     model: ObjectModel, candidates: Candidates, score: Array, most: int, spacing: float
 ) -> Candidates:
     """Returns the best candidates, each farther than `spacing` [diameters] from all better ones, modulo symmetry."""
-    axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
+    axes = model.symmetries.axes
+    kept = np.empty(most, dtype=np.int64)
     about = axes[0][0] if axes else model.center_object
     group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
     limits = np.array([*about, model.radius, spacing * model.diameter])

@@ -1,10 +1,10 @@
 """The errors of depth cameras: noise, constant biases, and pixels without depth."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,12 +15,12 @@ from handsight.rig.rig import DepthCamera
 
 SIZES = ("step", "lateral", "smooth", "offset")
 SHARES = ("correlated", "edges", "dropouts")
-LARGEST = 100.0  # no number of a camera's errors is larger, in its unit
+LARGEST = 100  # no number of a camera's errors is larger, in its unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthNoise:
-    """A `DepthNoise` has the errors of a kind of depth camera along its optical axis, at depth z [m]; each sigma is one
+    """The errors of a kind of depth camera along its optical axis, at depth z [m]; each sigma is one
     standard deviation.
 
     Noise is different in each image. Smooth bias and offset are constant for one camera, as its calibration left them.
@@ -32,13 +32,13 @@ class DepthNoise:
     """Between neighbouring depths at 1 m [m]; it grows with z², because the disparity is rounded. 0: none."""
     correlated: float = 0.0
     """Share of the noise's variance, without that of rounding, that neighbouring pixels have in common."""
-    correlation: float = 5.0
+    correlation: float = 5
     """Distance at which their correlation has fallen to 1/e [pixels]."""
     lateral: float = 0.0
     """Sigma of the offset per axis between a pixel and the place that it measures, before it is rounded [pixels]."""
     smooth: float = 0.0
     """Constant bias that changes over the image: sigma at 1 m [m]; it grows with z²."""
-    smooth_length: float = 40.0
+    smooth_length: float = 40
     """Distance at which its correlation has fallen to 1/e [pixels]."""
     offset: float = 0.0
     """Constant bias of the whole image: sigma [m]."""
@@ -56,19 +56,20 @@ class DepthNoise:
     def __post_init__(self) -> None:
         """Raises InvalidInput for a size, share or range that is not possible."""
         checks.finite(self.axial, "axial", (3,))
-        for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest", "edge_width"):
+        checks.integer(self.edge_width, "edge_width", int(LARGEST))
+        for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest"):
             value = float(checks.finite(getattr(self, name), name, ()))
             most = 1.0 if name in SHARES else LARGEST
             if not 0 <= value <= most:
                 raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {value:g}")
-        checks.integer(self.edge_width, "edge_width", int(LARGEST))
         if not self.nearest < self.farthest:
             expected = f"expected more than nearest, {self.nearest:g}"
             raise InvalidInput(f"farthest: {expected}, got {self.farthest:g}")
 
     def sigma(self, z: ArrayLike) -> Array:
         """Returns the standard deviation [m] of a pixel's depth z [m] from image to image, of z's shape."""
-        depth, (a, b, c) = np.asarray(z, dtype=np.float64), self.axial
+        a, b, c = self.axial
+        depth = np.asarray(z, dtype=np.float64)
         return np.asarray(np.maximum(a + depth * (b + depth * c), 0.0))
 
     def bias(self, z: ArrayLike) -> Array:
@@ -82,38 +83,28 @@ class DepthNoise:
         amount = float(checks.finite(amount, "amount", ()))
         if amount < 0:
             raise InvalidInput(f"amount: expected a number of at least 0, got {amount:g}")
-        sizes = {name: amount * getattr(self, name) for name in SIZES}
-        shares = {name: min(amount * getattr(self, name), 1.0) for name in ("edges", "dropouts")}
-        axial = (amount * self.axial[0], amount * self.axial[1], amount * self.axial[2])
-        return dataclasses.replace(self, axial=axial, **sizes, **shares)
+        a, b, c = self.axial
+        changed = {name: amount * getattr(self, name) for name in SIZES}
+        changed |= {name: min(amount * getattr(self, name), 1.0) for name in ("edges", "dropouts")}
+        return dataclasses.replace(self, axial=(amount * a, amount * b, amount * c), **changed)
 
 
-STRUCTURED_LIGHT = DepthNoise(
-    axial=(0.0, 0.0, 2.85e-3 * (0.35**2 + 0.25**2 + 1 / 12) ** 0.5), step=2.85e-3,
-    correlated=0.35**2 / (0.35**2 + 0.25**2), correlation=5.0, lateral=0.5, smooth=1.5e-3, offset=1e-3,
-    edges=0.6, dropouts=0.005, nearest=0.4, farthest=4.0,
-)  # fmt: skip
-"""A Kinect: disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and others, ICRA 2014),
-with noise of .35 of a step over 5 pixels and .25 white. That is 1.5 mm z², as Khoshelham and Oude Elberink (Sensors
-2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9 (z - .4)² mm about planes fitted to the
-image, which include the smooth bias: both together are within a third of that from .65 to 1.4 m, and less nearer."""
-
-TIME_OF_FLIGHT = dataclasses.replace(
-    STRUCTURED_LIGHT, axial=(1.5e-3, -0.5e-3, 0.3e-3), step=0.0, correlated=0.5, correlation=3.0, smooth=2e-3,
-    offset=4e-3, nearest=0.5, farthest=4.5,
-)  # fmt: skip
-"""A Kinect v2: 1.5 - 0.5 z + 0.3 z² mm (Fankhauser and others, ICAR 2015, facing the camera). Its successor's distances
-are off by up to 11 mm (Tölgyessy and others, Sensors 2021). The smooth part is assumed, the edges are those of
-STRUCTURED_LIGHT, and light that comes by way of other surfaces is not modelled."""
-
-STEREO = dataclasses.replace(
-    STRUCTURED_LIGHT, axial=(0.0, 0.0, 0.08 / (425 * 0.05)), step=1 / 32 / (425 * 0.05), correlated=0.8,
-    correlation=8.0, smooth=3e-3, edge_width=3, dropouts=0.01, nearest=0.28, farthest=6.0,
-)  # fmt: skip
-"""An active stereo camera as the RealSense D435: .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
-B = 5 cm, in steps of 1/32 pixel. The correlation (by the matched window), the bias and the edges are assumed."""
-
-PRESETS: Mapping[DepthCamera, DepthNoise] = MappingProxyType(
-    {"structured_light": STRUCTURED_LIGHT, "time_of_flight": TIME_OF_FLIGHT, "stereo": STEREO}
+PRESETS = msgspec.json.decode(
+    (Path(__file__).parents[1] / "data/depth_cameras.json").read_bytes(), type=dict[DepthCamera, DepthNoise]
 )
-"""Each kind of depth camera by its name in a rig."""
+"""Each kind of depth camera by its name in a rig.
+
+structured_light: a Kinect; disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and
+others, ICRA 2014), with noise of .35 of a step over 5 pixels, .25 white and 1/12 of rounding, squared. That is 1.5 mm
+z², as Khoshelham and Oude Elberink (Sensors 2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9
+(z - .4)² mm about planes fitted to the image, which include the smooth bias: both together are within a third of that
+from .65 to 1.4 m, and less nearer.
+
+time_of_flight: a Kinect v2; 1.5 - 0.5 z + 0.3 z² mm (Fankhauser and others, ICAR 2015, facing the camera). Its
+successor's distances are off by up to 11 mm (Tölgyessy and others, Sensors 2021). The smooth part is assumed, the edges
+are those of structured_light, and light that comes by way of other surfaces is not modelled.
+
+stereo: an active stereo camera as the RealSense D435; .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
+B = 5 cm, in steps of 1/32 pixel. The correlation (by the matched window), the bias and the edges are assumed.
+"""
+STRUCTURED_LIGHT = PRESETS["structured_light"]

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.math.simd import accumulate
+from handsight._kernels.jit import inner
+from handsight._kernels.math.normal_equations import add_four_rows
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -33,8 +34,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.mesh.field import FLAT, clamped, field_at
-from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.mesh.field import clamped, field_at
 
 Pose = tuple[Mat33, Vec3]
 """R and p of T_palm_object."""
@@ -72,7 +72,7 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
         # Field by field: numba cannot assign a nested record, and assigning arrays compiles long checks of shapes.
         store(vector(contact.point), own.point)
         store(vector(contact.normal), own.normal)
-        own.has_normal, own.used, own.of_residual = contact.has_normal, contact.used, contact.of_residual
+        own.has_normal, own.used = contact.has_normal, contact.used
         point, normal, off = C[0, 0] + C[1, 1] + C[2, 2], C[3, 3] + C[4, 4] + C[5, 5], 0.0
         for j in range(6):
             for k in range(6):
@@ -102,13 +102,13 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
     turned = skew(scale(n, 1 / radius))
     a, b, c = neg(K[0]), neg(K[1]), neg(K[2])
     # By a turn, the surface's normal also turns itself.
-    rows = (
-        distance_row(vector(contact.point), neg(g), d, frame),
+    by_distance = distance_row(vector(contact.point), neg(g), d, frame)
+    by_normal = (
         a + sub(cross(lever, a), turned[0]) + (error[0],),
         b + sub(cross(lever, b), turned[1]) + (error[1],),
         c + sub(cross(lever, c), turned[2]) + (error[2],),
     )
-    accumulate(term.weight, rows, equations)
+    add_four_rows(term.weight, by_distance, by_normal, equations)
 
 
 @inner
@@ -154,17 +154,12 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
     of model and field.
 
     Along a curved surface the normal changes with the point. So curvature propagates the noise of the point into the
-    residual of the normal, which has less weight near an edge than on a face. If the contact's covariance is that of
-    its residuals already, nothing is propagated, and only the coarse field's own error is added. The errors of model
-    and field are the same at contacts near each other, so each of a crowd has them that many times.
+    residual of the normal, which has less weight near an edge than on a face. The errors of model and field are the
+    same at contacts near each other, so each of a crowd has them that many times.
     """
     _, g, _, K, place = surface
     contact = term.contact
-    of_distance, of_normal = 0.0, 0.0
-    if contact.of_residual:
-        K = FLAT
-    else:
-        of_distance, of_normal = field_error(model.error, nodes, place)
+    of_distance, of_normal = field_error(model.error, nodes, place)
     if term.isotropic:
         v = term.variance_point
         distance, both = v * dot(g, g), scale(mul(K, g), v)

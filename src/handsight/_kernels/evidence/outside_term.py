@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.math.simd import accumulate
+from handsight._kernels.jit import entry, inner
+from handsight._kernels.math.normal_equations import add_row
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import Vec3, add, apply, apply_inverse, cross, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight.checks import MAX_DISTANCE
 
 POWER = 8
@@ -135,7 +135,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
         if total > 0 and (i == n or point.link != link):
             rho = total ** (1 / POWER)
             down = rho / total
-            accumulate((1.0,), (scale(by_shift, down) + scale(by_turn, down) + (rho,),), equations)
+            add_row(1.0, scale(by_shift, down) + scale(by_turn, down) + (rho,), equations)
             by_shift, by_turn, total = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
         if u > 0:
             power = u**POWER
@@ -143,6 +143,19 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
             lever = scale(sub(vector(point.point), center), 1 / radius)
             by_shift, by_turn = add(by_shift, slope), add(by_turn, cross(lever, slope))
             total, link = total + power, point.link
+
+
+@inner
+def links_within(evidence: Any, pose: Pose) -> int:
+    """Returns how many links have a point in the object."""
+    count, link = 0, -1
+    for i in range(reachable(evidence, evidence.model.fine, pose)):
+        point = evidence.outside[i]
+        if (count == 0 or point.link != link) and point.clearance <= evidence.measured.move:
+            depth, _ = _depth(evidence, evidence.model.fine, pose, point)
+            if depth > 0:
+                count, link = count + 1, point.link
+    return count
 
 
 @inner

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
-from handsight._kernels.math.simd import accumulate, scan
+from handsight._kernels.jit import inner
+from handsight._kernels.math.normal_equations import add_row
 from handsight._kernels.math.vec3 import Vec3, apply, dot, scale, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
+from handsight._kernels.mesh.samples import scan
 from handsight._kernels.records import BOX, CYLINDER, SPHERE
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -73,7 +74,17 @@ def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
         height, point = _height(evidence, pose, plane)
         if height < 0:
             row = distance_row(point, vector(plane.normal), height, frame)
-            accumulate((1 / (plane.sigma * plane.sigma),), (row,), equations)
+            add_row(1 / (plane.sigma * plane.sigma), row, equations)
+
+
+@inner
+def planes_crossed(evidence: Any, pose: Pose) -> int:
+    """Returns how many planes the object crosses."""
+    count = 0
+    for i in range(evidence.measured.points, len(evidence.outside)):
+        height, _ = _height(evidence, pose, evidence.outside[i])
+        count += height < 0
+    return count
 
 
 @inner

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, scale_turns
-from handsight._kernels.math.simd import accumulate
+from handsight._kernels.math.normal_equations import add_six_rows
 from handsight._kernels.math.so3 import IDENTITY, log_derivative, rotation_exp, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -36,7 +37,6 @@ from handsight._kernels.math.vec3 import (
     vector,
 )
 from handsight._kernels.records import NO_PRIOR, VISION_PRIOR, WEAK_PRIOR
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -56,15 +56,33 @@ def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
 
 
 @inner
+def _pivot(model: Any) -> Vec3:
+    """Returns the object's middle or, of an object with axes, the point on them nearest to it.
+
+    A pose is Gaussian in the shift of a point of the object. Vision sees the object, wherever its origin is: an origin
+    far beside it moves along an arc as the object turns.
+    """
+    symmetry, center = model.symmetry, vector(model.center)
+    if symmetry.axes == 0:
+        return center
+    on_axis = vector(symmetry.pivot)
+    if symmetry.axes > 1:
+        return on_axis
+    axis = vector(symmetry.axis[0])
+    return add(on_axis, scale(axis, dot(axis, sub(center, on_axis))))
+
+
+@inner
 def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     """Fills in the evidence of a pose with its covariance, for an object with these symmetries.
 
     No standard deviation counts as less than 1e-5 of the object's radius.
     """
     symmetry, R, radius = model.symmetry, matrix(vision.pose.rotation), model.radius
-    arm = mul(R, vector(symmetry.pivot))
+    pivot = _pivot(model)
+    arm = mul(R, pivot)
     prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
-    store(vector(symmetry.pivot), prior.pivot_object)
+    store(pivot, prior.pivot_object)
     store(vector(symmetry.axis[0]), prior.axis_object)
     store(add(vector(vision.pose.position), arm), prior.pivot_palm)
     store33(R, prior.rotation)
@@ -151,7 +169,7 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     turn, D = turn_between(prior, pose[0])
     D, still = scale33(D, 1 / frame[1]), (0.0, 0.0, 0.0)
     by_turn = still + D[0] + (turn[0],), still + D[1] + (turn[1],), still + D[2] + (turn[2],)
-    accumulate(prior.information, point_rows(pivot, off, frame) + by_turn, equations)
+    add_six_rows(prior.information, point_rows(pivot, off, frame), by_turn, equations)
 
 
 @inner

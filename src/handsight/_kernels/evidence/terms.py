@@ -4,23 +4,28 @@ A term is of one kind, by how a solver has to treat it:
 
 * CONTACTS lie on the surface. Their covariance depends on the pose, and they alone may be rejected as outliers.
 * WALLS are one-sided: they cost where the object is beyond them, and do not tell how far in front it is.
-* FIXED_NOISE is measured beside the contacts, with the same noise at every pose: the object's weight, depth points.
+* FIXED_NOISE is measured beside the contacts, with the same noise at every pose: the object's weight.
 * PRIOR is the pose known before touch.
 """
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from handsight._kernels.evidence.contact_term import Frame, Pose, add_contacts, contact_cost
-from handsight._kernels.evidence.depth_points_term import add_depth_points, depth_points_cost
-from handsight._kernels.evidence.outside_term import add_outside, outside_cost
-from handsight._kernels.evidence.plane_term import add_planes, plane_cost
+from handsight._kernels.evidence.outside_term import add_outside, links_within, outside_cost
+from handsight._kernels.evidence.plane_term import add_planes, plane_cost, planes_crossed
 from handsight._kernels.evidence.prior_term import add_prior, prior_cost
 from handsight._kernels.evidence.weight_term import add_weight, weight_cost
+from handsight._kernels.jit import inner
 from handsight._kernels.math.vec3 import Vec3
-from handsight._kernels.runtime.compilation import inner
 
-CONTACTS, WALLS, FIXED_NOISE, PRIOR = 1, 2, 4, 8
+# NumPy's integers, which all have one type in a kernel; each of Python's constants has a type of its own.
+CONTACTS, WALLS, FIXED_NOISE, PRIOR = np.int64(1), np.int64(2), np.int64(4), np.int64(8)
 ALL = CONTACTS | WALLS | FIXED_NOISE | PRIOR
+REWHITENED = np.int64(16)
+"""Beside CONTACTS: they are weighted by their covariance at the pose; otherwise they keep their last weights, so that
+the costs of one descent can be compared."""
 
 
 class Evidence(NamedTuple):
@@ -37,7 +42,7 @@ class Evidence(NamedTuple):
     measured: Any
     """MEASURED: where these were measured."""
     constraints: Any
-    """CONSTRAINTS: the weight and the depth points of it are used here; its prior is in `prior`."""
+    """CONSTRAINTS: the weight of it is used here; its prior is in `prior`."""
     prior: Any
     """PRIOR_TERM."""
     center: Vec3
@@ -46,15 +51,11 @@ class Evidence(NamedTuple):
 
 @inner
 def add_evidence(
-    evidence: Evidence, kinds: int, field: Any, pose: Pose, frame: Frame, rewhiten: bool, equations: Any
+    evidence: Evidence, kinds: np.int64, field: Any, pose: Pose, frame: Frame, equations: Any
 ) -> None:
-    """Adds the rows of all terms of some kinds at a pose to normal equations by a step (τ, radius ω) about a frame.
-
-    `rewhiten`: whether contacts are weighted by their covariance at this pose; otherwise they keep their last weights,
-    so that the costs of one descent can be compared.
-    """
+    """Adds the rows of all terms of some kinds at a pose to normal equations by a step (τ, radius ω) about a frame."""
     if kinds & CONTACTS:
-        add_contacts(evidence, field, pose, frame, rewhiten, equations)
+        add_contacts(evidence, field, pose, frame, kinds & REWHITENED != 0, equations)
     if kinds & WALLS:
         add_outside(evidence, field, pose, frame, equations)
         add_planes(evidence, pose, frame, equations)
@@ -62,11 +63,17 @@ def add_evidence(
         add_prior(evidence.prior, pose, frame, equations)
     if kinds & FIXED_NOISE:
         add_weight(evidence.constraints.weight, pose, frame, equations)
-        add_depth_points(evidence, field, pose, frame, equations)
 
 
 @inner
-def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
+def walls_met(evidence: Evidence, pose: Pose) -> int:
+    """Returns how many links and planes the object is within at a pose: only these are rows of evidence there."""
+    links = links_within(evidence, pose)
+    return links + planes_crossed(evidence, pose)
+
+
+@inner
+def evidence_cost(evidence: Evidence, kinds: np.int64, pose: Pose) -> float:
     """Returns minus two log of the density of some kinds of evidence at a pose, up to a constant, on the fine field."""
     total = 0.0
     if kinds & WALLS:
@@ -78,5 +85,4 @@ def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
         total += prior_cost(evidence.prior, pose)
     if kinds & FIXED_NOISE:
         total += weight_cost(evidence.constraints.weight, pose)
-        total += depth_points_cost(evidence, pose)
     return total

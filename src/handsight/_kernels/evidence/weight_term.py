@@ -8,9 +8,9 @@ from typing import Any
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.evidence.prior_term import point_off, point_rows
-from handsight._kernels.math.simd import accumulate
+from handsight._kernels.jit import inner
+from handsight._kernels.math.normal_equations import add_three_rows
 from handsight._kernels.math.vec3 import dot, matrix, mul
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -18,7 +18,7 @@ def add_weight(weight: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the three rows, where the weight is known."""
     if weight.known:
         place, off = point_off(weight.center_object, weight.center_palm, pose)
-        accumulate(weight.information, point_rows(place, off, frame), equations)
+        add_three_rows(weight.information, point_rows(place, off, frame), equations)
 
 
 @inner

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, solve
 from handsight._kernels.math.so3 import IDENTITY, rotation_exp
 from handsight._kernels.math.symmetry import transform_of
 from handsight._kernels.math.vec3 import Mat33, Vec3, add, cross, dot, mul, scale, store, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.runtime.compilation import entry, inner
 
 
 @inner

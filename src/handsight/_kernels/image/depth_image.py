@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.image.vision_records import HAND, OUT, TABLE
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, norm, scale, store, sub, vector
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.runtime.compilation import entry, inner
 
 HALF_WINDOW, MIN_NEIGHBOURS = 4, 15
 """Half the side of the window for a normal [pixels], and how many of its pixels must be on the surface."""

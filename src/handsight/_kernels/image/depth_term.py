@@ -12,8 +12,10 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.evidence.prior_term import add_prior
 from handsight._kernels.image.depth_covariance import congruence, inform, pose_covariance, pose_jacobian
-from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.jit import entry, inner
+from handsight._kernels.math.normal_equations import add_row
 from handsight._kernels.math.so3 import IDENTITY
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Vec3,
@@ -31,7 +33,6 @@ from handsight._kernels.math.vec3 import (
 )
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, SHEET, VISION_PRIOR, WORKSPACE
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import IMAGE_DAMPING, damped_step, retract
 
 MIN_COSINE = 0.3  # the least cosine of a point's normal with the surface's
@@ -138,7 +139,7 @@ def refine_poses(
                         continue
                     weight, distance, P, g = _point(surface, points[n], pose, bound, wall)
                     if weight > 0:
-                        accumulate((weight,), (distance_row(P, neg(g), distance, frame),), equations)
+                        add_row(weight, distance_row(P, neg(g), distance, frame), equations)
                         total += weight
                 if not total > 0:
                     break

@@ -10,12 +10,14 @@ from typing import Any
 from handsight._kernels.evidence.contact_term import distance_row
 from handsight._kernels.image.depth_term import bound_at, stepped
 from handsight._kernels.image.palm_scan import PALM_SCAN, observed_at
+from handsight._kernels.image.pinhole import whole
 from handsight._kernels.image.pose_score import ScoreWeights, finish_score
-from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.jit import entry, inner
+from handsight._kernels.math.normal_equations import add_row
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import Vec3, apply, cross, dot, mul, neg, norm, sub, vector
 from handsight._kernels.records import WORKSPACE
-from handsight._kernels.runtime.compilation import entry, inner
 
 RANGE_FACTOR = 3.0  # bound along the ray, in bounds across it
 HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, min_expected=100.0)
@@ -24,8 +26,8 @@ HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, min_expected=
 @inner
 def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
     """Returns the cosine of a normal with that of the cell that a point is in; above 1 where none is known."""
-    row = int((P[1] / P[2] - corner[1]) / corner[2] + 0.5)
-    column = int((P[0] / P[2] - corner[0]) / corner[2] + 0.5)
+    row = whole((P[1] / P[2] - corner[1]) / corner[2])
+    column = whole((P[0] / P[2] - corner[0]) / corner[2])
     if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):
         return 2.0
     cell = cells[row, column]
@@ -73,7 +75,7 @@ def refine_hand(
                 P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
                 weight, residual = _row(camera[0], image, P, n, bound)
                 if weight > 0:
-                    accumulate((weight,), (distance_row(P, neg(n), residual, frame),), equations)
+                    add_row(weight, distance_row(P, neg(n), residual, frame), equations)
                     total += weight
             if not total > 5.0:  # points that a step needs, by weight
                 break

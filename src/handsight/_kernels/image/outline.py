@@ -10,13 +10,13 @@ import numpy as np
 
 from handsight._kernels.image.depth_image import normal_at, point_at
 from handsight._kernels.image.depth_term import is_far
-from handsight._kernels.image.pinhole import project
+from handsight._kernels.image.pinhole import project, whole
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import OUT
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.runtime.compilation import entry, inner
 
 BESIDE = 0.06  # distance from the surface up to which points beside it are compared with it [diameters]
 INSIDE = 2.0
@@ -36,7 +36,7 @@ def _within(camera: Any, image: Any, pixel: Any, nearest: Vec3, inset: float) ->
     (_, depth, labels), (v, u, least) = image, pixel
     x, y = project(camera[0], nearest)
     length = max(((x - u) ** 2 + (y - v) ** 2) ** 0.5, 1e-9)
-    row, column = int(y + inset * (y - v) / length + 0.5), int(x + inset * (x - u) / length + 0.5)
+    row, column = whole(y + inset * (y - v) / length), whole(x + inset * (x - u) / length)
     if not (length > 0.5 and 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
         return -1, -1
     return (row, column) if depth[row, column] > 0 and labels[row, column] >= least else (-1, -1)
@@ -157,7 +157,7 @@ def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[
     (pose, center, bound), (model, nodes), (rays, depth, labels) = at, surface, image
     (near, far), left = OUTSIDE, 1.5 * model[0].radius * camera[0].fx / max(center[2], model[0].radius)
     for _ in range(STEPS):
-        u, v = int(way[0] + left * way[2] + 0.5), int(way[1] + left * way[3] + 0.5)
+        u, v = whole(way[0] + left * way[2]), whole(way[1] + left * way[3])
         if not (0 <= u < depth.shape[1] and 0 <= v < depth.shape[0]):
             left *= 0.85
             continue
@@ -169,8 +169,10 @@ def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[
             left -= min(pixels - 0.5 * (near + far), 0.25 * left + 1)
             continue
         row, column = _within(camera, image, (v, u, 0), nearest, WITHIN)
+        if row < 0:
+            return u, v, 0
         Q = point_at(rays, depth, row, column)
-        if row < 0 or not abs(field_at(nodes, model[0].fine, apply_inverse(pose, Q))[0]) < bound:
+        if not abs(field_at(nodes, model[0].fine, apply_inverse(pose, Q))[0]) < bound:
             return u, v, 0
         if not depth[v, u] > 0 or labels[v, u] < 0:
             return u, v, 1

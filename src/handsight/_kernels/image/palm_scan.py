@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handsight._kernels.image.depth_image import normal_at
-from handsight._kernels.image.pinhole import project
+from handsight._kernels.image.pinhole import project, whole
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3, matrix, mul, norm, store, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 
 class PalmScanOptions(NamedTuple):
@@ -38,7 +38,7 @@ def observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
     u, v = project(camera, P)
     if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
         return 0, 0, -1.0
-    row, column = int(v + 0.5), int(u + 0.5)
+    row, column = whole(v), whole(u)
     z = depth[row, column]
     return row, column, float(z) if z > 0 else 0.0
 
@@ -103,8 +103,8 @@ def scan(
                 beside = n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0
                 if not ((beside or -(n[0] * X + n[1] * Y + n[2] * Z) > least) and Z > 0):
                     continue
-                column = int((X / Z - corner[0]) * finer + 0.5)
-                row = int((Y / Z - corner[1]) * finer + 0.5)
+                column = whole((X / Z - corner[0]) * finer)
+                row = whole((Y / Z - corner[1]) * finer)
                 if not (0 <= row < height and 0 <= column < width and cells[row, column, 0] > 0):
                     out += 0.0 if beside else 1.0
                     continue

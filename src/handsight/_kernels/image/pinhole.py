@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3
-from handsight._kernels.runtime.compilation import entry, inner
 
 PASSES, TOLERANCE = 60, 1e-9
 """Most steps of the fixed-point iteration to a ray, and the error of its slopes at which it has converged."""
@@ -22,6 +22,12 @@ def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
     slope_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     return slope_x, y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
+
+
+@inner
+def whole(place: float) -> int:
+    """Returns the number of the pixel or cell that a place is in, by its middle: -1 is left of the first."""
+    return int(np.floor(place + 0.5))
 
 
 @inner

@@ -10,9 +10,9 @@ import numpy as np
 
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.image.vision_records import HAND, TABLE
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import Vec3, apply, dot, mul, norm, scale, tmul, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 
 class ScoreWeights(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.image.pinhole import project
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3, add, scale, sub, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 NEAR = 0.01  # parts of triangles nearer to the camera than this are not drawn [m]
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from handsight._kernels.image.depth_image import step_at
 from handsight._kernels.image.pinhole import project
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import transform_of
 from handsight._kernels.math.vec3 import apply, norm
-from handsight._kernels.runtime.compilation import entry, inner
 
 CLEAR = 3.0
 """A ray has passed a node that lies so many bounds before its surface; nearer, the surface may be seen aslant."""

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.so3 import about_normal, rotation_exp
 from handsight._kernels.math.symmetry import store_pose
 from handsight._kernels.math.vec3 import Mat33, Vec3, dot, matmul, mul, norm, scale, sub, transpose, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 DISTANCES, ANGLES, SPINS = 20, 13, 30
 """Steps in which a pair's distance, its angles and a spin are counted; right angles are in the middle of a step."""

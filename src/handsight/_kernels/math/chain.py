@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry
 from handsight._kernels.math.so3 import IDENTITY, rotation_about
 from handsight._kernels.math.symmetry import store_transform, transform_of
 from handsight._kernels.math.vec3 import add, apply, cross, matmul, mul, scale, store, sub, vector
-from handsight._kernels.runtime.compilation import entry
 
 
 @entry

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.jit import inner
 
 
 @inner

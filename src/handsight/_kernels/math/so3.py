@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from handsight._kernels.jit import inner
 from handsight._kernels.math.vec3 import Mat33, Vec3, add33, dot, matmul, norm, outer, scale, scale33, skew
-from handsight._kernels.runtime.compilation import inner
 
 IDENTITY: Mat33 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

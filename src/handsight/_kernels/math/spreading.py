@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.jit import entry, inner
 
 WIDE = 6
 """Numbers of each point: its position, and its normal times a length."""

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.jit import inner
 from handsight._kernels.math.so3 import rotation_about, rotation_log
 from handsight._kernels.math.vec3 import (
     apply,
@@ -19,7 +20,6 @@ from handsight._kernels.math.vec3 import (
     vector,
 )
 from handsight._kernels.records import AXIS, MOST_ROTATIONS, NO_SYMMETRY
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner

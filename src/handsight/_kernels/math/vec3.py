@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.jit import inner
 
 Vec3: TypeAlias = tuple[float, float, float]
 Mat33: TypeAlias = tuple[Vec3, Vec3, Vec3]

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.math.simd import local, spline
+from handsight._kernels.jit import entry, inner
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -25,8 +26,8 @@ from handsight._kernels.math.vec3 import (
     sub33,
     vector,
 )
+from handsight._kernels.mesh.spline import spline
 from handsight._kernels.records import BOX, CYLINDER, GRID, NODES, SHEET
-from handsight._kernels.runtime.compilation import entry, inner
 
 Values = tuple[float, Vec3, Mat33]
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, store, sub, tmul, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 RESULT = 8  # numbers for each closest point: distance, point (3), weights of the corners (3), triangle
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import factor, solve
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 PATCH = np.dtype([
     ("point", "f8", (3,)),

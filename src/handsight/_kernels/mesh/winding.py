@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, sub, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 """At a distance of this many of its radii, a patch or a triangle is approximated by one dipole."""

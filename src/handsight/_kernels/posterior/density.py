@@ -21,6 +21,7 @@ from handsight._kernels.evidence.terms import (
     add_evidence,
     evidence_cost,
 )
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import dot, vector
 from handsight._kernels.mesh.field import FLAT
@@ -29,7 +30,6 @@ from handsight._kernels.posterior.spurious_information import (
     subtract_spurious_information,
 )
 from handsight._kernels.records import VISION_PRIOR
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -71,9 +71,9 @@ def information(evidence: Evidence, pose: Pose, total: Any, u: Any) -> tuple[flo
     """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone to
     `u.by_touch` and of all evidence to `total`.
 
-    Weight and depth points count as touch, as all evidence that corrects the prior. Spurious information is subtracted
-    from both, but not from the terms' equations nor from `u.equations`, which hold those of the weight, depth points
-    and prior together. `u.prior` and `u.walls` hold the equations of the prior and of walls alone.
+    The weight counts as touch, as all evidence that corrects the prior. Spurious information is subtracted from both,
+    but not from the terms' equations nor from `u.equations`, which hold those of the weight and the prior together.
+    `u.prior` and `u.walls` hold the equations of the prior and of walls alone.
     """
     by_touch, equations = u.by_touch, u.equations
     equations[:] = 0.0
@@ -90,15 +90,15 @@ def information(evidence: Evidence, pose: Pose, total: Any, u: Any) -> tuple[flo
     subtract_spurious_information(by_touch, equations, model.radius)
     # Walls are part of the cost, but not of the information.
     frame = pose[1], 1.0
-    add_evidence(evidence, WALLS, model.fine, pose, frame, False, u.walls)
+    add_evidence(evidence, WALLS, model.fine, pose, frame, u.walls)
     equations[:] = 0.0
-    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, False, equations)
+    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = by_touch[i, j]
             by_touch[i, j] = by_touch[j, i] = by_touch[i, j] + equations[i, j]
     if evidence.prior.kind == VISION_PRIOR:
-        add_evidence(evidence, PRIOR, model.fine, pose, frame, False, u.prior)
+        add_evidence(evidence, PRIOR, model.fine, pose, frame, u.prior)
     for i in range(7):
         for j in range(i + 1):
             equations[i, j] += u.prior[i, j]

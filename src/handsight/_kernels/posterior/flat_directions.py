@@ -10,12 +10,12 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
+from handsight._kernels.jit import inner
 from handsight._kernels.math.vec3 import Mat33, cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import GRID, SHEET, WEAK_PRIOR
-from handsight._kernels.runtime.compilation import inner
 
 SPIN = 1e6
 """Information that is added for a spin around a declared axis, in traces of the matrix: so large that the spin is not

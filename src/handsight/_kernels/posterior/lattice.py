@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
+from handsight._kernels.evidence.terms import ALL, REWHITENED, Evidence, add_evidence
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.vec3 import Mat33, add, cross, matmul, mul, norm, scale, sub, transpose
 from handsight._kernels.posterior.flat_directions import (
@@ -17,7 +18,6 @@ from handsight._kernels.posterior.flat_directions import (
     without_bumps,
 )
 from handsight._kernels.posterior.options import INTEGRATION
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -71,7 +71,9 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         coordinates_at(flat, point, u.row)
         pose = at_coordinates(mode, radius, u.row)
         u.equations[:] = 0.0
-        add_evidence(evidence, ALL, evidence.model.fine, pose, (evidence.center, radius), True, u.equations)
+        add_evidence(
+            evidence, ALL | REWHITENED, evidence.model.fine, pose, (evidence.center, radius), u.equations
+        )
         count = flat.count_across if _relax(flat, matmul(pose[0], transpose(mode[0])), u) else 0
         cost, fall = u.equations[6, 6], 0.0
         for a in range(count):

@@ -18,9 +18,10 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.prior_term import prior_cost
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, from_eigen, scale_turns
-from handsight._kernels.math.simd import local
 from handsight._kernels.math.so3 import rotation_log
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import nearest, pose_of
 from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
 from handsight._kernels.posterior.density import posterior_cost
@@ -46,7 +47,6 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -199,6 +199,8 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
             at, place = 0, first.index[0] - low
         elif last.log_weight > best - INTEGRATION.max_fall:
             at, place = count, last.index[0] + high
+        elif count == 1:  # no number, or so improbable that nothing can be told from it
+            break
         else:
             at, most = _worst_gap(points, order[:count], best - INTEGRATION.deepest, smooth)
             place = 0.5 * (points[order[max(at - 1, 0)]].index[0] + points[order[at]].index[0])
@@ -393,7 +395,7 @@ def to_mean(evidence: Evidence, answers: Any, k: int, flat: Any, best: float) ->
         k >= INTEGRATION.max_modes
         or row.weight < 0
         or row.log_weight < best - INTEGRATION.min_log_weight
-        or not (row.mean == 2 or (row.mean == 1 and not_gaussian))
+        or not (row.mean and not_gaussian)
     ):
         return best
     mode, sums, others = pose_of(row.pose), local(SUMS), np.empty((len(answers) - k - 1, 7))

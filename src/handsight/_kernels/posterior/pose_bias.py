@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.so3 import rotation_exp, rotation_log
 from handsight._kernels.math.symmetry import store_transform, transform_of
@@ -32,7 +33,6 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.runtime.compilation import entry, inner
 
 POSES, LATENCY, STATE = 12, 18, 19
 """Size of a perturbation of pose and bias; the row of the latency; the size of the state with drift and latency."""

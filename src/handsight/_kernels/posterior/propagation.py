@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.jit import entry
 from handsight._kernels.math.dense6 import eigen, in_metres
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import add, cross, scale, vector
 from handsight._kernels.records import UNCERTAINTY
-from handsight._kernels.runtime.compilation import entry
 
 
 @entry

@@ -19,12 +19,13 @@ from handsight._kernels.evidence.contact_term import (
     surface_at,
 )
 from handsight._kernels.evidence.terms import Evidence
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, from_eigen, in_metres
-from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.math.normal_equations import add_equal_rows
 from handsight._kernels.math.so3 import IDENTITY
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import cross, outer, sub, sub33, vector
 from handsight._kernels.records import UNCERTAINTY
-from handsight._kernels.runtime.compilation import inner
 
 CHI2_95 = 3.84
 """Factor on the variance of a slope or a curvature, the 95 % quantile of χ² with one degree of freedom: a grasp meets
@@ -55,7 +56,7 @@ def add_spurious_information(
         along[1] + cross(lever, along[1]) + (0.0,),
         along[2] + cross(lever, along[2]) + (0.0,),
     )
-    accumulate((spurious, spurious, spurious), rows, equations)
+    add_equal_rows(spurious, rows, equations)
 
 
 @inner

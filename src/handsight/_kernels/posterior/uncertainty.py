@@ -9,10 +9,11 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.prior_term import about_point
-from handsight._kernels.evidence.terms import Evidence
+from handsight._kernels.evidence.terms import Evidence, walls_met
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, in_metres, solve
-from handsight._kernels.math.simd import local
 from handsight._kernels.math.so3 import rotation_exp
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import (
     Vec3,
     add,
@@ -29,7 +30,6 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.posterior.density import group_gain, information, largest_gain, posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
-from handsight._kernels.runtime.compilation import inner
 
 
 @inner
@@ -249,6 +249,7 @@ def summarize(evidence: Evidence, pose: Pose, row: Any, flat: Any) -> None:
     model, u = evidence.model, local(UNCERTAINTY)
     chi2, cost = information(evidence, pose, row.information, u)
     row.chi2, row.posterior_cost = chi2, cost
+    row.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
     row.gain = largest_gain(evidence, u)
     row.prior_gain, row.outside_gain = group_gain(evidence, u.prior, u), group_gain(evidence, u.walls, u)
     row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
@@ -261,4 +262,3 @@ def summarize(evidence: Evidence, pose: Pose, row: Any, flat: Any) -> None:
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
     row.rows += 3 if evidence.constraints.weight.known else 0
-    row.rows += min(evidence.constraints.depth.count, 6)  # together they are one measurement of the pose

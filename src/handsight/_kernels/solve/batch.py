@@ -1,8 +1,8 @@
-"""The entries of a correction: many corrections one after another, or one stage of many descents, in one call.
+"""The entries of a correction: one correction from one start, or one stage of many descents, in one call.
 
 `model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
 problem, each set with its own `used`. `constraints` is an array of one CONSTRAINTS. Arguments that range over descents
-or problems may be a slice of them, so that several threads share the work.
+may be a slice of them, so that several threads share the work.
 """
 
 from typing import Any
@@ -11,9 +11,10 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, load_terms, surface_at
 from handsight._kernels.evidence.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
-from handsight._kernels.evidence.terms import Evidence
+from handsight._kernels.evidence.terms import Evidence, walls_met
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import eigen, in_metres
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import (
     are_distinct,
     nearest,
@@ -37,7 +38,6 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.doubt import is_suspicious, verdict, worst_contact
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
@@ -101,67 +101,61 @@ def equivalent(model: Any, Ts: Any, T_reference: Any, out: Any) -> None:
 
 
 @entry
-def correct_all(
+def correct(
     model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, problems: Any, residuals: Any
 ) -> int:
-    """Solves every problem (K,) whose prior is narrow enough for one start, at the prior's pose; of the others it fills
-    in the width only. Returns the verdict on the last one.
+    """Solves a problem (1,) at its prior's pose if the prior is narrow enough for one start, else fills in its width
+    only. Returns the verdict.
 
     A problem that `follows` begins at its `start` instead, however wide the prior is; of one that is `pose_only` only
-    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
-    (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
+    the pose is computed, for benchmarks. `residuals` (n, 2) are written: distance [m], angle [rad].
     """
     prior, measured, flat = local(PRIOR_TERM), local(MEASURED), local(FLAT_DIRECTIONS)
-    hand, trial, found = outside.copy(), local(ANSWER), DOUBTED
-    for k in range(len(problems)):
-        problem, answer, given = problems[k], problems[k].answer, constraints[k]
-        any_width = problem.follows or problem.pose_only
-        answer.width = 0.0 if any_width else prior_width(model[0], given.prior)
-        answer.verdict = found = DOUBTED
-        if not answer.width < SEARCH.single_start_width:
+    hand, trial = outside.copy(), local(ANSWER)
+    problem, answer, given = problems[0], problems[0].answer, constraints[0]
+    any_width = problem.follows or problem.pose_only
+    answer.width = 0.0 if any_width else prior_width(model[0], given.prior)
+    answer.verdict = DOUBTED
+    if not answer.width < SEARCH.single_start_width:
+        return DOUBTED
+    terms = np.empty(len(contacts), TERM)
+    center = load_evidence(model[0], contacts, given, terms, prior, measured)
+    evidence = Evidence(model[0], nodes, terms, hand, measured, given, prior, center)
+    prior_pose, follows, worst, coarse_cost = pose_of(given.prior.pose), problem.follows != 0, 0, 0.0
+    pose = pose_of(problem.start) if follows else prior_pose
+    answer.first_order, answer.weight = 0, 1.0
+    # Where a contact does not fit, it may only have led the descent astray: that goes on without the worst one, and
+    # from there with all, unless χ² falls less without it than to first order.
+    for attempt in range(3):
+        pose = _solve(evidence, pose, follows or attempt > 0, trial if attempt == 1 else answer)
+        if attempt == 1:
+            terms[worst].contact.used = 1
+            fall = answer.cost - trial.cost
+            if fall < answer.gain:
+                terms[worst].contact.gain = fall
+                answer.gain = terms[worst_contact(terms)].contact.gain
+                if not is_suspicious(answer):
+                    break
             continue
-        own = contacts[problem.first : problem.last if problem.last else len(contacts)]
-        terms = np.empty(len(own), TERM)
-        center = load_evidence(model[0], own, given, terms, prior, measured)
-        evidence = Evidence(model[0], nodes, terms, hand, measured, given, prior, center)
-        prior_pose, follows, worst, coarse_cost = pose_of(given.prior.pose), problem.follows != 0, 0, 0.0
-        pose = pose_of(problem.start) if follows else prior_pose
-        answer.first_order, answer.weight = 0, 1.0
-        # Where a contact does not fit, it may only have led the descent astray: that goes on without the worst one, and
-        # from there with all, unless χ² falls less without it than to first order.
-        for attempt in range(3):
-            pose = _solve(evidence, pose, follows or attempt > 0, trial if attempt == 1 else answer)
-            if attempt == 1:
-                terms[worst].contact.used = 1
-                fall = answer.cost - trial.cost
-                if fall < answer.gain:
-                    terms[worst].contact.gain = fall
-                    answer.gain = terms[worst_contact(terms)].contact.gain
-                    if not is_suspicious(answer):
-                        break
-                continue
-            pose = nearest(model[0], pose, prior_pose)
-            store_pose(pose, answer.pose)
-            store_transform(pose, answer.T_palm_object)
-            if problem.pose_only:
-                break
-            summarize(evidence, pose, answer, flat)
-            if attempt == 2:
-                answer.coarse_cost = coarse_cost
-            elif follows or not is_suspicious(answer):
-                break
-            else:
-                worst, coarse_cost = worst_contact(terms), answer.coarse_cost
-                terms[worst].contact.used = 0
+        pose = nearest(model[0], pose, prior_pose)
+        store_pose(pose, answer.pose)
+        store_transform(pose, answer.T_palm_object)
         if problem.pose_only:
-            continue
-        answer.verdict = found = verdict(evidence, follows, attempt > 0, answer)
-        if found != DOUBTED:
-            to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
-        pose = transform_of(answer.T_palm_object)
-        for i in range(len(terms)):
-            row = residuals[problem.first + i]
-            row[0], row[1] = _residual(model[0], nodes, terms[i].contact, pose)
+            return DOUBTED
+        summarize(evidence, pose, answer, flat)
+        if attempt == 2:
+            answer.coarse_cost = coarse_cost
+        elif follows or not is_suspicious(answer):
+            break
+        else:
+            worst, coarse_cost = worst_contact(terms), answer.coarse_cost
+            terms[worst].contact.used = 0
+    answer.verdict = found = verdict(evidence, follows, attempt > 0, answer)
+    if found != DOUBTED:
+        to_mean(evidence, problems.answer, 0, flat, -np.inf)
+    pose = transform_of(answer.T_palm_object)
+    for i in range(len(terms)):
+        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, terms[i].contact, pose)
     return found
 
 
@@ -197,6 +191,7 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
             volume -= 0.5 * np.log(max(u.values[i], floor))
         descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
         descent.gain = largest_gain(evidence, u)
+        descent.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
         for i in range(len(terms) if k == 0 else 0):
             contacts[0, i].gain = terms[i].contact.gain
 

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import pose_of, transform_of
 from handsight._kernels.math.vec3 import Vec3, apply, dot, matmul, mul, sub, transpose, vector
-from handsight._kernels.runtime.compilation import entry, inner
 
 
 @inner

@@ -7,10 +7,10 @@ import numpy as np
 
 from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import Evidence
-from handsight._kernels.math.simd import local
+from handsight._kernels.jit import inner
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.records import DOUBTED, ENOUGH, GRID, POSE, SHEET, UNCERTAINTY, UNDECIDED
-from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import are_near, match
 from handsight._kernels.solve.options import ACCEPTANCE, DESCENT, MATCH, SEARCH
@@ -28,11 +28,11 @@ def chi2_survival(chi2: float, freedom: int) -> float:
     if not chi2 > 0.0:
         return 0.0 if chi2 != chi2 else 1.0
     half, odd = 0.5 * chi2, freedom % 2
-    term = np.exp(-half) * (2 * np.sqrt(half / np.pi) if odd else 1.0)
+    log_term = -half + (np.log(2 * np.sqrt(half / np.pi)) if odd else 0.0)
     total = math.erfc(np.sqrt(half)) if odd else 0.0
     for m in range(freedom // 2):
-        total += term
-        term *= half / (m + 1.0 + 0.5 * odd)
+        total += np.exp(log_term)
+        log_term += np.log(half / (m + 1.0 + 0.5 * odd))
     return total
 
 
@@ -66,9 +66,15 @@ def _confirmed(evidence: Evidence, answer: Any) -> bool:
 
 
 @inner
+def freedom(answer: Any) -> int:
+    """Returns the degrees of freedom of the cost of an ANSWER: its rows of evidence, and the walls that it meets."""
+    return max(answer.rows + answer.walls, 1)
+
+
+@inner
 def is_suspicious(answer: Any) -> bool:
     """Returns whether a contact may be wrong at an ANSWER: by its cost, or by the gain of leaving one out."""
-    unlikely = chi2_survival(answer.cost, max(answer.rows, 1)) < ACCEPTANCE.recheck_p
+    unlikely = chi2_survival(answer.cost, freedom(answer)) < ACCEPTANCE.recheck_p
     return unlikely or not answer.gain < ACCEPTANCE.decisive
 
 
@@ -101,12 +107,12 @@ def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) ->
     )
     few = few and fine in (GRID, SHEET)
     if follows:
-        fits = chi2_survival(cost, rows) >= ACCEPTANCE.alarm
+        fits = chi2_survival(cost, freedom(answer)) >= ACCEPTANCE.alarm
     else:
         wide = (answer.width / SEARCH.single_start_width) ** 2
         level = ACCEPTANCE.doubt_p if fine in (GRID, SHEET) else ACCEPTANCE.doubt_plain_p
         coarse = chi2_survival(answer.coarse_cost * wide / ACCEPTANCE.coarse_factor, rows)
-        p_value = chi2_survival(cost, rows)
+        p_value = chi2_survival(cost, freedom(answer))
         fits = not is_suspicious(answer) and not (few and answer.width > ACCEPTANCE.weak_width)
         if led_astray or coarse < ACCEPTANCE.coarse_p or p_value < level * wide:
             fits = fits and _confirmed(evidence, answer)
@@ -114,8 +120,8 @@ def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) ->
         return DOUBTED
     # What is left out lowers χ² by no more than all of it.
     gain = min(max(answer.gain, max(answer.prior_gain, answer.outside_gain)), answer.chi2)
-    freedom = 3 if rows >= 3 * count and answer.outside_gain == 0.0 else 1
-    contradicts = chi2_survival(gain, freedom) < max(ACCEPTANCE.each / count, ACCEPTANCE.kind)
-    if few or contradicts or chi2_survival(answer.chi2, rows) < ACCEPTANCE.pool:
+    least = 3 if rows >= 3 * count and answer.outside_gain == 0.0 else 1
+    contradicts = chi2_survival(gain, least) < max(ACCEPTANCE.each / count, ACCEPTANCE.kind)
+    if few or contradicts or chi2_survival(answer.chi2, freedom(answer)) < ACCEPTANCE.pool:
         return UNDECIDED
     return ENOUGH

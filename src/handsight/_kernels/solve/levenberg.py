@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
+from handsight._kernels.evidence.terms import ALL, REWHITENED, Evidence, add_evidence
+from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import factor, solve
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import Vec3, add, matmul, mul, norm, scale, sub
 from handsight._kernels.records import WORKSPACE
-from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.options import DESCENT
 
 LONGEST_STEP = 1e3, DESCENT.max_turn
@@ -88,7 +88,8 @@ def descend(
     while True:
         # Only this place evaluates, the first pose as well as every candidate: it takes most of the time to compile.
         new[:] = 0.0
-        add_evidence(evidence, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
+        kinds = ALL | REWHITENED if rewhiten and tried < 0 else ALL
+        add_evidence(evidence, kinds, field, candidate, (center, radius), new)
         tried += 1
         # A change of the cost within rounding is neither better nor worse; such a step is taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):

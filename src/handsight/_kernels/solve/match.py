@@ -6,7 +6,9 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, add_evidence
-from handsight._kernels.math.simd import accumulate, local, scan
+from handsight._kernels.jit import inner
+from handsight._kernels.math.normal_equations import add_equal_rows, add_row
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.vec3 import (
     Vec3,
     apply,
@@ -21,8 +23,8 @@ from handsight._kernels.math.vec3 import (
     tmul,
     vector,
 )
+from handsight._kernels.mesh.samples import scan
 from handsight._kernels.records import WORKSPACE
-from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
 from handsight._kernels.solve.options import MATCH, SEARCH
 
@@ -54,20 +56,19 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     reach = norm(lateral)
     by_reach = scale(lateral, -1 / max(reach, 1e-300))
     turned, error = skew(scale(n, -1 / frame[1])), sub(n, vector(contact.normal))
-    plane, band = 1 / (term.variance_point + model.sample_variance_distance), 0.0
-    facing, still = 0.0, (0.0, 0.0, 0.0)
+    plane = 1 / (term.variance_point + model.sample_variance_distance)
+    add_row(plane, distance_row(point, neg(n), distance, frame), equations)
     if reach > model.band:
-        band = model.tangential_weight
+        row = distance_row(point, by_reach, reach - model.band, frame)
+        add_row(model.tangential_weight, row, equations)
     if contact.has_normal:
-        facing = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12)
-    rows = (
-        distance_row(point, neg(n), distance, frame),
-        distance_row(point, by_reach, reach - model.band, frame),
-        still + turned[0] + (error[0],),
-        still + turned[1] + (error[1],),
-        still + turned[2] + (error[2],),
-    )
-    accumulate((plane, band, facing, facing, facing), rows, equations)
+        facing, still = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12), (0.0, 0.0, 0.0)
+        by_normal = (
+            still + turned[0] + (error[0],),
+            still + turned[1] + (error[1],),
+            still + turned[2] + (error[2],),
+        )
+        add_equal_rows(facing, by_normal, equations)
 
 
 @inner
@@ -84,7 +85,7 @@ def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int, bool]:
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
         # Without walls: they would stop the object on the way to its place, as their cost is large from far away.
-        add_evidence(evidence, PRIOR | FIXED_NOISE, model.coarse, pose, frame, False, equations)
+        add_evidence(evidence, PRIOR | FIXED_NOISE, model.coarse, pose, frame, equations)
         step = damped_step(equations, model.radius, 1e-9, LONGEST_STEP, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0

@@ -20,9 +20,11 @@ from handsight._kernels.evidence.contact_term import (
     whiten,
 )
 from handsight._kernels.evidence.prior_term import about_point
-from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, WALLS, Evidence, add_evidence
+from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, WALLS, Evidence, add_evidence, walls_met
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import eigen, factor, in_metres, scale_turns, solve
-from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.math.normal_equations import add_row
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import nearest, pose_of, store_pose, store_transform
 from handsight._kernels.math.vec3 import Vec3, add, apply, cross, dot, mul, neg, scale, store, sub, vector
 from handsight._kernels.mesh.field import FLAT
@@ -42,7 +44,6 @@ from handsight._kernels.records import (
     VISION_PRIOR,
     WORKSPACE,
 )
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract, step_size
 from handsight._kernels.solve.options import DESCENT, REGISTRATION
@@ -109,7 +110,7 @@ def add_registered(
                 equations[r, c] += right * own[r, c]
         if flipped > 1e-6:
             row = distance_row(vector(term.contact.point), neg(surface[1]), surface[0], frame)
-            accumulate((flipped / term.variance_distance,), (row,), equations)
+            add_row(flipped / term.variance_distance, row, equations)
         if stage == DONE and right > 0.5:
             add_spurious_information(model, evidence.nodes, term, surface, pose, group.spurious)
     for g in range(len(groups) - 1):
@@ -197,7 +198,7 @@ def _descend(
             evidence, contacts, of_group, trial, candidate, frame, stage, squares, memory.equations
         )
         workspace.next[:] = 0.0
-        add_evidence(evidence, kinds, model.fine, candidate, frame, False, workspace.next)
+        add_evidence(evidence, kinds, model.fine, candidate, frame, workspace.next)
         new += workspace.next[6, 6]
         tried += 1
         if tried == 0 or new <= cost + 1e-10 * (1 + abs(cost)):
@@ -271,7 +272,7 @@ def _calibrate(
                 evidence, contacts, of_group, trial, beside, frame, AGAIN, squares, memory.equations
             )
             memory.prior[:] = 0.0
-            add_evidence(evidence, kinds, model.fine, beside, frame, False, memory.prior)
+            add_evidence(evidence, kinds, model.fine, beside, frame, memory.prior)
             rise = (cost + memory.prior[6, 6] - here) / (length * length * u.values[k])
             change += 0.5 * min(max(rise, CALIBRATION.min_factor), 1.0)
         u.values[k] *= change
@@ -309,16 +310,17 @@ def _summarize(
     u.equations[:] = 0.0
     u.prior[:] = 0.0
     u.walls[:] = 0.0
-    add_evidence(evidence, WALLS, model.fine, pose, frame, False, u.walls)
-    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, False, u.equations)
+    add_evidence(evidence, WALLS, model.fine, pose, frame, u.walls)
+    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, u.equations)
     if evidence.prior.kind == VISION_PRIOR:
-        add_evidence(evidence, PRIOR, model.fine, pose, frame, False, u.prior)
+        add_evidence(evidence, PRIOR, model.fine, pose, frame, u.prior)
     for r in range(6):
         for c in range(6):
             u.by_touch[r, c] = total[r, c] / excess + u.equations[r, c]
             answer.information[r, c] = u.wider[r, c] = u.by_touch[r, c] + u.prior[r, c]
     answer.chi2 = chi2 + u.equations[6, 6] + u.prior[6, 6] + u.walls[6, 6]
     answer.rows, answer.gain = round(rows), 0.0
+    answer.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
     answer.prior_gain, answer.outside_gain = (
         group_gain(evidence, u.prior, u),
         group_gain(evidence, u.walls, u),
@@ -355,14 +357,13 @@ def register(
         terms[i].crowd = crowds[i]
     hand, given, row = outside.copy(), constraints[0], answer[0]
     evidence = Evidence(model[0], nodes, terms, hand, measured, given, term, vector(center))
-    pose, tried, done = pose_of(row.pose), 0, False
-    add_registered(
-        evidence, contacts, of_group, groups, pose, (vector(center), model[0].radius), ANEW, squares,
-        local(UNCERTAINTY).equations,
-    )  # fmt: skip
+    pose, tried, done, memory = pose_of(row.pose), 0, False, local(UNCERTAINTY).equations
+    frame = vector(center), model[0].radius
     for g in range(len(groups)):
         groups[g].softness = np.inf
     while not done:
+        # Of the last pose that was accepted: the last one that was tried may be another.
+        add_registered(evidence, contacts, of_group, groups, pose, frame, ANEW, squares, memory)
         done = _sharpen(of_group, groups, squares)
         pose, row.cost, more, row.converged = _descend(evidence, contacts, of_group, groups, pose, squares)
         tried += more

@@ -11,7 +11,8 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Pose, surface_at
 from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
-from handsight._kernels.math.simd import local
+from handsight._kernels.jit import entry, inner
+from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -35,7 +36,6 @@ from handsight._kernels.records import (
     UNCERTAINTY,
     WEAK_PRIOR,
 )
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import are_near, match

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import transform_of
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -30,7 +31,6 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.sensing import (
     CONTACT,
     Fingertip,

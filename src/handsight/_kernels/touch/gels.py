@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.taxel_records import FAR, NEAR, PRESSED, RIM, UNKNOWN, WIDE
 
 

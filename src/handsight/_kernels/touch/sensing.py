@@ -26,9 +26,9 @@ from typing import Any, NamedTuple, TypeVar
 import numba
 import numpy as np
 
+from handsight._kernels.jit import entry
 from handsight._kernels.math import so3, vec3
 from handsight._kernels.math.vec3 import Mat33, Vec3
-from handsight._kernels.runtime.compilation import entry
 from handsight.checks import MAX_LOAD
 
 F = TypeVar("F", bound=Callable[..., Any])

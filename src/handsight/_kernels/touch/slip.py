@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.touch.slip_records import FIRST, FRICTION, MOST_READINGS, SLIP
 
 
@@ -51,18 +51,24 @@ def _read(one: Any, load: Any, noise: float, mu: float, stamp: float, is_new: bo
 
 
 @inner
-def _turned(one: Any, relative: float, rise: float, read: Any) -> bool:
-    """Returns whether the ratio vector of a sensor's mean load has moved, or is longer than it has kept up."""
+def _turned(one: Any, relative: float, rise: float, straight: bool, read: Any) -> bool:
+    """Returns whether the ratio vector of a sensor's mean load has moved, or is longer than it has kept up.
+
+    `straight`: whether a normal force that changes counts as a motion of that vector too.
+    """
     scale = one.mean[3] * relative
     x, y, z = one.mean[0] / scale, one.mean[1] / scale, one.mean[2] / scale
-    w, anchor = one.mean[4] / FRICTION.torsion / scale, one.anchor
-    read.length = length = _length(x, y, z, w)
+    w = one.mean[4] / FRICTION.torsion / scale
+    anchor = one.anchor
+    length = _length(x, y, z, w)
     was = 0.0 if math.isnan(one.kept_up) else one.kept_up
     risen = length > was
     if risen:
         one.kept_up = was + rise * (length - was)
     size = _length(anchor[0], anchor[1], anchor[2], anchor[3])
     away = _length(x - anchor[0], y - anchor[1], z - anchor[2], w - anchor[3])
+    if straight:
+        away = math.hypot(away, size * (one.mean[3] / anchor[4] - 1))
     if away <= FRICTION.min_turn * size:
         return risen
     least, most = min(size, length), max(size, length)
@@ -70,20 +76,28 @@ def _turned(one: Any, relative: float, rise: float, read: Any) -> bool:
     counts = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
     if counts and most - least <= FRICTION.max_radial * away:
         read.turned = math.sqrt(least * most)
-    anchor[0], anchor[1], anchor[2], anchor[3] = x, y, z, w
+    anchor[0], anchor[1], anchor[2], anchor[3], anchor[4] = x, y, z, w, one.mean[3]
     return True
 
 
 @entry
 def follow_loads(
-    limits: Any, numbers: Any, loads: Any, stamp: float, since: float, mu: float, memory: Any, read: Any
+    limits: Any,
+    numbers: Any,
+    loads: Any,
+    stamp: float,
+    since: float,
+    mu: float,
+    straight: bool,
+    memory: Any,
+    read: Any,
 ) -> tuple[bool, float, float]:
     """Returns whether friction may be another one now, the ratio that two sensors have kept up, and the largest gain.
 
     `loads` (n, 5): on the sensors of `numbers` (n,), which count `limits` (2 m) LOAD_LIMITS, those of m six-axis
     sensors and those of taxels in their place; NaN where a load is unknown. `since`: the time since the last update
-    [s]; `mu`: the coefficient of friction, 1 where it is unknown. Writes `memory` (m) LOAD_MEMORY and `read` (n)
-    LOAD_READ.
+    [s]; `mu`: the coefficient of friction, 1 where it is unknown; `straight`: whether a constant ratio under a changing
+    force shows friction. Writes `memory` (m) LOAD_MEMORY and `read` (n) LOAD_READ.
     """
     goes_on, news, gain, m = since <= SLIP.max_gap, False, 0.0, len(memory)
     follow, slowly = 1 - math.exp(-since / SLIP.time_constant), 1 - math.exp(-since / SLIP.rest)
@@ -92,7 +106,7 @@ def follow_loads(
     for i in range(len(loads)):
         limit, one, load, out = limits[numbers[i]], memory[numbers[i] % m], loads[i], read[i]
         out.measured = abs(load[0] + load[1] + load[2] + load[3] + load[4]) < np.inf
-        out.ratio, out.length, out.turned = np.nan, 0.0, 0.0
+        out.ratio, out.highest, out.turned = np.nan, np.nan, 0.0
         if not (out.measured and load[3] > 0):
             continue
         loaded[numbers[i] % m], gain = True, max(gain, limit.gain)
@@ -102,12 +116,14 @@ def follow_loads(
             one.rest[k] = load[k] if is_new else one.rest[k] + slowly * (load[k] - one.rest[k])
         _read(one, load, limit.noise / load[3], mu, stamp, is_new)
         if one.mean[3] > limit.sure_force:
-            news |= _turned(one, limit.relative, rise, out)
+            news |= _turned(one, limit.relative, rise, straight, out)
         else:
             one.anchor[:] = np.nan
         if one.mean[3] > limit.min_force:
             # What taxels miss of a load changes with the place that is touched: theirs is at the limit where it may be.
             out.ratio = _upper(one, ratios) * (1 + SLIP.gain_sigmas * limit.gain) / limit.relative
+            noise = min(limit.noise / load[3], SLIP.ratio_sigma * mu)
+            out.highest = out.ratio + noise / limit.relative
     first, second, count = 0.0, 0.0, 0
     for k in range(m):
         if not loaded[k]:
@@ -121,27 +137,23 @@ def follow_loads(
 
 
 @entry
-def highest_heap(turns: Any, shared_bin: float, error: int) -> tuple[float, int]:
-    """Returns the mean number of the highest heap's bins, with those just below it, and its turns; 0 of them where
-    there is no heap among the turns (n,) in bins from number `FIRST` on.
-
-    `shared_bin`: up to which two fingers have kept ratios up; `error`: the standard deviation of ratios in bins. A few
-    turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
-    """
-    band, spread = FRICTION.band + 2 * error, FRICTION.spread + error
-    heaps = np.zeros(len(turns), np.int64)
-    for at in range(len(turns)):
-        if turns[at]:
-            for k in range(at, min(at + band, len(turns))):
-                heaps[at] += turns[k]
-    for at in range(len(turns) - 1, -1, -1):
-        below, near = FRICTION.max_below if at <= shared_bin else FRICTION.max_below_alone, 0
-        for k in range(max(at - below, 0), at + 1 if turns[at] else 0):
-            near = max(near, heaps[k])
+def highest_heap(turns: Any, error: int) -> tuple[float, int]:
+    """Returns the mean number of the highest heap's bins, and its turns; 0 of them where there is no heap among the
+    turns (n,) in bins from number `FIRST` on. `error`: the standard deviation of ratios in bins."""
+    n = len(turns)
+    band = FRICTION.band + 2 * error
+    heaps = np.zeros(n, np.int64)
+    for at in range(n):
+        heaps[at] = turns[at : at + band].sum()
+    for at in range(n - 1, -1, -1):
+        near = heaps[max(at - FRICTION.max_below, 0) : at + 1].max()
         if turns[at] and heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
-            total, moment, first = 0, 0, max(at - spread, 0)
-            for k in range(first, min(at + band, len(turns))):
-                total += turns[k]
-                moment += turns[k] * (k - first)
-            return FIRST + first + moment / total, total
+            first = at
+            for k in range(at, max(at - FRICTION.top - error, 0) - 1, -1):
+                if heaps[k] > heaps[first]:
+                    first = k
+            moment = 0
+            for k in range(first, min(first + band, n)):
+                moment += turns[k] * k
+            return FIRST + moment / heaps[first], heaps[first]
     return 0.0, 0

@@ -17,28 +17,24 @@ class FrictionOptions(NamedTuple):
     max_ratio: float = 10.0  # largest ratio that is counted
     bin_width: float = 0.01  # width of the bins, in the logarithm of the ratio, in which turns are counted
     band: int = 5  # so many neighbouring bins make a heap
-    spread: int = 2  # bins below a heap over which noise spreads the limit
+    top: int = 8
+    """The limit is the fullest heap among this one, if it is high enough to be the limit, and so many bins below: noise
+    spreads the ratios of a slide to both sides."""
     min_turns: int = 5  # fewest turns of a heap
     min_share: float = 0.1
-    """The same as a share of the turns in the largest heap that is at most `max_below` bins below."""
-    max_below: int = 30
-    max_below_alone: int = 50
-    """The same of a heap above the ratios that two fingers keep up: one tip alone may touch two bodies at once."""
-    certain_turns: int = 20
-    """A heap of so many turns is the limit, unless two fingers have ratios above it by more than `near_heap`."""
-    noise_margin: float = 0.98
-    """μ is at least this share of the ratio that two fingers have kept up, with its noise."""
+    """The same as a share of the turns in the largest heap that is at most `max_below` bins below: a few turns that are
+    spread over higher ratios, as by a tip that touches at two places, are not the limit."""
+    max_below: int = 50
+    noise: float = 0.02  # by this share the ratio that two fingers have kept up may be above μ
+    noise_of_slides: float = 0.1  # the same after slides have shown μ
     keep_up: float = 0.1
     """Time constant with which a kept-up ratio rises [s]: a tip that is hit, or touches at two places for a moment, has
     higher ratios than μ, but not for long."""
-    near_heap: float = 1.1  # a factor
-    max_above: float = 1.5  # the largest factor by which μ is above the heap
-    sliding_turns: int = 5
-    """As many turns as this count for a contact of which other evidence tells that it slides."""
     least_sigma: float = 0.02  # of the logarithm of μ: the limit surface is not quite an ellipsoid
-    turn_sigma: float = 0.2  # the same of one turn; it falls with the root of their number
-    doubtful_sigma: float = 0.3
-    """The same while turns are fewer than `certain_turns`, or kept-up ratios are above them."""
+    turn_sigma: float = (
+        1.0  # the same of one turn, which sticking contacts make too; it falls with the root of turns
+    )
+    max_sigma: float = 0.25  # the same beyond which μ is in doubt
 
 
 FRICTION = FrictionOptions()
@@ -50,9 +46,8 @@ BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
 class SlipOptions(NamedTuple):
     """`SlipOptions` say when contacts slip, as thresholds on a finger's ratio."""
 
-    begin_ratio: float = 0.98  # a slip begins when the least ratio is above this
-    end_ratio: float = 0.97  # and ends when it has been below this for `min_hold`
-    max_sigma: float = 0.25  # share of μ; where μ is less certain no slip is reported
+    begin_ratio: float = 1.0  # a slip begins when the least ratio, with its noise, is at this
+    end_ratio: float = 0.99  # and ends when it has been below this for `min_hold`
     gain_sigmas: float = 2.0
     """A ratio of taxels may be higher than they read by so many standard deviations of their gain. That hides whether a
     finger rests just below its limit or slides; but loads at rest are constant, and those of a slide are not."""
@@ -95,12 +90,13 @@ LOAD_MEMORY = record(
     ("normal", "f8"),  # the same of f_n [N]
     ("count", "i8"),  # of its last readings
     ("last", "f8", (MOST_READINGS, 3)),  # their ratios without μ, stamps [s] and normal forces [N]
-    ("anchor", "f8", (4,)),  # the ratio vector from which its next turn is measured; NaN: none
+    # The ratio vector, and normal force [N], from which its next turn is measured; NaN: none.
+    ("anchor", "f8", (5,)),
     ("kept_up", "f8"),  # the highest ratio that it has kept up; NaN before it had one
 )
 LOAD_READ = record(
     ("measured", "i8"),  # whether the load is known
     ("ratio", "f8"),  # without μ; NaN where none counts
-    ("length", "f8"),  # of the ratio vector; 0 where friction is not learnt from it
+    ("highest", "f8"),  # the same with a standard deviation of its noise
     ("turned", "f8"),  # the ratio at which that vector has turned; 0: it has not
 )

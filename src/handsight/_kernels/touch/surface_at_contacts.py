@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import load_terms, surface_at, whiten
+from handsight._kernels.jit import entry
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import sub, vector
 from handsight._kernels.records import TERM
-from handsight._kernels.runtime.compilation import entry
 
 
 @entry

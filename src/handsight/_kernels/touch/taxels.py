@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
-from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.taxel_records import (
     DEAD,
     DRIFTING,
@@ -22,7 +22,7 @@ from handsight._kernels.touch.taxel_records import (
 
 
 class TaxelOptions(NamedTuple):
-    """`TaxelOptions` are the constants of patches, fitted to simulated tips (`tests/tip_scenes.py`), and of faults."""
+    """`TaxelOptions` are constants of patches, fitted to simulated tips (`testbed/skin_scenes.py`), and of faults."""
 
     flat: float = math.cos(math.radians(3.0))  # of the angle of a flat patch's normals with their mean
     filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it

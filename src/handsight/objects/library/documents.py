@@ -21,7 +21,7 @@ from handsight.errors import InvalidFile, InvalidInput
 from handsight.msgspec_errors import Form, decode, decode_object
 from handsight.objects.files.read import LARGEST_FILE
 from handsight.objects.model import ObjectModel
-from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about, closed_group
+from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about, closed_group, nearest
 
 METRES = 1e-3  # metres in the unit of a BOP library's files
 TOLERANCE = 0.01
@@ -40,14 +40,14 @@ Matrix = tuple[
 
 
 class ContinuousAxis(msgspec.Struct):
-    """A `ContinuousAxis` is a line about which every turn is a symmetry."""
+    """Line about which every turn is a symmetry."""
 
     axis: Vector
     offset: Vector = (0.0, 0.0, 0.0)  # a point on the line [mm]
 
 
 class Info(msgspec.Struct):
-    """An `Info` is the entry of `models_info.json` for an object; other keys are ignored."""
+    """Entry of `models_info.json` for an object; other keys are ignored."""
 
     diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]  # [mm]
     size_x: float | None = None
@@ -78,7 +78,8 @@ def symmetries_of(info: Info) -> Symmetries:
     near = TOLERANCE * info.diameter * METRES
     turns = []
     for k, matrix in enumerate(info.symmetries_discrete):
-        name, given = f"symmetries_discrete[{k}]", np.array(matrix).reshape(4, 4)
+        name = f"symmetries_discrete[{k}]"
+        given = np.array(matrix).reshape(4, 4)
         shift = checks.position(METRES * given[:3, 3], name, (3,))
         R = _nearest_rotations(given[:3, :3])
         if not (np.abs(R - given[:3, :3]).max() < TOLERANCE and (given[3] == [0, 0, 0, 1]).all()):
@@ -86,33 +87,35 @@ def symmetries_of(info: Info) -> Symmetries:
         turns.append(se3.compose(R, shift))
     lines = []
     for k, line in enumerate(info.symmetries_continuous):
-        offset, name = METRES * np.array(line.offset), f"symmetries_continuous[{k}].offset"
+        offset = METRES * np.array(line.offset)
+        name = f"symmetries_continuous[{k}].offset"
         lines.append((checks.position(offset, name, (3,)), line.axis))
     if len(turns) > MAX_ROTATIONS:
         raise InvalidInput(f"symmetries_discrete: expected at most {MAX_ROTATIONS}, got {len(turns)}")
     if not lines:
         return Symmetries(rotations=_exact_group(turns, near))
     symmetries = Symmetries(lines)
-    point, axis = symmetries.axes[0]
-    middles = []
-    for k, T in enumerate(turns):  # each must keep the axis in place, or swap its ends about a middle
-        shift = se3.apply(T, point[None])[0] - point
-        along, cosine = float(shift @ axis), float(axis @ T[:3, :3] @ axis)
-        gap = shift if symmetries.round else shift - along * axis
-        if np.linalg.norm(gap) > near or (not symmetries.round and abs(cosine) < 1 - TOLERANCE):
-            raise InvalidInput(f"symmetries_discrete[{k}]: expected a turn that keeps the continuous axis")
-        if symmetries.round or (cosine > 0 and abs(along) < near):
-            continue
-        if cosine > 0:
-            message = "expected a turn, got a shift along the continuous axis"
-            raise InvalidInput(f"symmetries_discrete[{k}]: {message}")
-        middles.append(point + along * axis / 2)
-    if not middles:
+    if not turns:
         return symmetries
-    middle = np.mean(middles, axis=0)
-    if np.abs(np.array(middles) - middle).max() > near:
-        raise InvalidInput("symmetries_discrete: expected half turns that swap the ends about one middle")
-    return Symmetries([(middle, axis)], about(middle, np.pi * se3.perpendicular(axis))[None])
+    given = np.array(turns)
+    point, axis = symmetries.axes[0]
+    swapped = given[axis @ given[:, :3, :3] @ axis < 0]
+    if len(swapped) and not symmetries.round:  # half turns swap the axis' ends about a middle
+        along = (se3.apply(swapped, point[None])[:, 0] - point) @ axis
+        middle = np.mean(point + along[:, None] * axis / 2, axis=0)
+        half_turn = about(middle, np.pi * se3.perpendicular(axis))
+        symmetries = Symmetries([(middle, axis)], half_turn[None])
+    left = nearest(symmetries, given, np.eye(4), METRES * info.diameter)
+    off = np.maximum(
+        np.abs(left[:, :3, :3] - np.eye(3)).max(axis=(1, 2)) / TOLERANCE,
+        np.linalg.norm(left[:, :3, 3], axis=1) / near,
+    )
+    if off.max() > 1:
+        k = int(off.argmax())
+        raise InvalidInput(
+            f"symmetries_discrete[{k}]: expected a turn of the continuous axis, or one that swaps its ends"
+        )
+    return symmetries
 
 
 def _nearest_rotations(M: Array) -> Array:
@@ -139,7 +142,8 @@ def _exact_group(turns: list[Array], near: float) -> Array:
     group = closed_group(turns, distance, "symmetries_discrete")
     products = group[:, None] @ group
     gaps = np.array([[distance(product, group) for product in row] for row in products])
-    table, R = gaps.argmin(axis=-1), group[:, :3, :3]
+    table = gaps.argmin(axis=-1)
+    R = group[:, :3, :3]
     for _ in range(6):
         R = _nearest_rotations(np.einsum("ghij,hkj->gik", R[table], R))
     center = group[:, :3, 3].mean(axis=0)
@@ -156,11 +160,11 @@ VERSION = 1  # version of the format of `handsight.json`
 
 
 class NoLibrary(InvalidFile):
-    """The error that there is no library in a folder or at a URL."""
+    """There is no library in a folder or at a URL."""
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`Facts` are what is known of an object besides its surface; impossible values raise InvalidInput."""
+    """What is known of an object besides its surface; impossible values raise InvalidInput."""
 
     name: str
     """Letters, digits, blanks and `_.+-`, the first a letter or a digit, not all of them digits."""
@@ -170,20 +174,23 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """In the object's frame [m]."""
     sigma_center_of_mass: float | None = None
     """One standard deviation of the centre of mass per axis [m]."""
+    origin_file: tuple[float, float, float] | None = None
+    """Where the model's origin is in the file that was added, whose frame it left [m]; None: in the file's origin."""
+    sigma_scale: float | None = None
+    """One standard deviation of the model's size, as a share of it; None where the size is known."""
     licence: str = ""
     source: str = ""
     """Where the model comes from."""
 
     def __post_init__(self) -> None:
         # A name must be harmless in a path and on a terminal, and no number, because objects are found by number too.
-        most, max_mass, max_text = checks.MAX_NAME_LENGTH, 100.0, 500
-        is_text = isinstance(self.name, str) and len(self.name) <= most
-        if not is_text or not re.fullmatch(r"\w[\w .+-]*", self.name):
-            expected = f"up to {most} letters, digits, blanks and _.+-, the first a letter or a digit"
-            raise InvalidInput(f"name: expected {expected}, got {checks.brief(self.name)!r}")
-        if self.name != self.name.strip() or re.fullmatch(r"\d+|obj_\d{6,}", self.name):
-            raise InvalidInput(f"name: expected no number and no blank at its end, got {self.name!r}")
-        if self.mass is not None and checks.positive(self.mass, "mass") > max_mass:
+        name = r"(?!(\d+|obj_\d{6,})$)\w([\w .+-]{0,98}[\w.+-])?"
+        if not isinstance(self.name, str) or not re.fullmatch(name, self.name):
+            raise InvalidInput(
+                "name: expected up to 100 letters, digits, blanks and _.+-, the first a letter or a digit, the last no "
+                f"blank, and no number, got {checks.brief(self.name)!r}"
+            )
+        if self.mass is not None and checks.positive(self.mass, "mass") > 100:
             raise InvalidInput(f"mass: expected kilograms, got {self.mass:g} (grams?)")
         if self.center_of_mass is not None:
             checks.in_reach(self.center_of_mass, "center_of_mass", (3,))
@@ -191,27 +198,26 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             checks.sigma(self.sigma_center_of_mass, "sigma_center_of_mass")
             if self.center_of_mass is None:
                 raise InvalidInput("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
+        if self.origin_file is not None:
+            checks.finite(self.origin_file, "origin_file", (3,))
+        if self.sigma_scale is not None and checks.positive(self.sigma_scale, "sigma_scale") > 1:
+            raise InvalidInput(f"sigma_scale: expected a share of the size, got {self.sigma_scale:g}")
         for key, value in (("licence", self.licence), ("source", self.source)):
-            if not isinstance(value, str) or len(value) > max_text:
-                expected = f"a text of up to {max_text} characters"
-                raise InvalidInput(f"{key}: expected {expected}, got {checks.brief(value)}")
+            if not isinstance(value, str) or len(value) > 500:
+                raise InvalidInput(
+                    f"{key}: expected a text of up to 500 characters, got {checks.brief(value)}"
+                )
 
 
 class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A `Record` is the facts of an object, and the size [bytes] and SHA-256 of its model's file."""
+    """Facts of an object, and the size [bytes] and SHA-256 of its model's file."""
 
-    sha256: str
-    bytes: int
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not re.fullmatch(r"[0-9a-f]{64}", self.sha256):
-            raise InvalidInput(f"sha256: expected 64 hexadecimal digits, got {checks.brief(self.sha256)}")
-        checks.integer(self.bytes, "bytes", LARGEST_FILE)
+    sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+    bytes: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_FILE)]
 
 
 class FactsDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """A `FactsDocument` is the content of `handsight.json`."""
+    """Content of `handsight.json`."""
 
     version: int
     objects: dict[str, Record]
@@ -223,7 +229,7 @@ Documents = tuple[bytes, bytes | None]
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An `Entry` is an object of a library."""
+    """Object of a library."""
 
     number: int
     """BOP's `obj_id`."""
@@ -252,7 +258,9 @@ class Entry:
     @property
     def size(self) -> tuple[float, float, float] | None:
         """Extent along x, y, z [m]; None where the documents do not state it."""
-        x, y, z = self.info.size_x, self.info.size_y, self.info.size_z
+        x = self.info.size_x
+        y = self.info.size_y
+        z = self.info.size_z
         return None if x is None or y is None or z is None else (METRES * x, METRES * y, METRES * z)
 
     @cached_property
@@ -266,7 +274,8 @@ class Entry:
 
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
     """Returns the objects in the order of their numbers; raises InvalidFile, whose message begins with the place."""
-    where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
+    where = f"{place}: {INFO}"
+    there = f"{place}: {FACTS}"
     info, facts = documents
     infos = _by_number(decode(info, dict[str, Info], where), where)
     records: dict[int, Record] = {}
@@ -275,14 +284,16 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
         if version != VERSION:  # another version may have other keys
             raise InvalidFile(f"{there}: version: expected {VERSION}, got {checks.brief(version)}")
         records = _by_number(decode(facts, FactsDocument, there).objects, there)
-    entries, owners = list[Entry](), dict[str, int]()
+    entries = list[Entry]()
+    owners = dict[str, int]()
     for number in sorted(infos):
         record = records.get(number)
         name = record.name if record else f"obj_{number:06d}"  # `Facts` refuses such a name
-        if name in owners:
-            message = f"expected a name of its own, got {name!r}, which is that of object {owners[name]}"
-            raise InvalidFile(f"{there}: objects.{number}.name: {message}")
-        owners[name] = number
+        if owners.setdefault(name, number) != number:
+            raise InvalidFile(
+                f"{there}: objects.{number}.name: expected a name of its own, got {name!r}, which is that of object "
+                f"{owners[name]}"
+            )
         entries.append(Entry(number=number, name=name, facts=record, info=infos[number], place=place))
     return tuple(entries)
 
@@ -292,9 +303,7 @@ def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
     names of files, so that another key could name any file."""
     found: dict[int, Form] = {}
     for key, value in values.items():
-        if not (
-            key.isascii() and key.isdecimal() and len(key) <= len(str(MAX_NUMBER)) and str(int(key)) == key
-        ):
+        if not re.fullmatch("0|[1-9][0-9]{0,8}", key):
             raise InvalidFile(f"{where}: expected numbers of objects as keys, got {checks.brief(key)!r}")
         found[int(key)] = value
     return found

@@ -5,14 +5,13 @@ in that document is not in the library, whatever else an interrupted add has wri
 """
 
 import contextlib
+import fcntl
 import hashlib
 import os
-import sys
-import time
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import msgspec
 import numpy as np
@@ -41,20 +40,6 @@ from handsight.objects.library.documents import (
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries
 
-LOCK_SECONDS = 60.0  # how long a writer waits for another [s]; an add holds the lock for three small files
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(file: BinaryIO) -> None:
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-
-else:
-    import fcntl
-
-    def _lock(file: BinaryIO) -> None:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
 
 def new_object(
     file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None, force: bool
@@ -65,7 +50,9 @@ def new_object(
     """
     if not isinstance(facts, Facts):
         raise InvalidInput(f"facts: expected Facts, got {type(facts).__name__}")
-    model = ObjectModel.from_file(file, scale, symmetries=symmetries)
+    model = ObjectModel.from_file(file, scale)
+    if symmetries is not None:
+        model = model.with_symmetries(symmetries)
     check_inside(facts, model)
     path = Path(file)
     doubts = unit_remarks(float(np.ptp(model.bounds_object, axis=0).max()))
@@ -86,16 +73,19 @@ def check_inside(facts: Facts, model: ObjectModel) -> None:
     """Raises InvalidInput for a centre of mass outside the object's bounds."""
     if facts.center_of_mass is None:
         return
-    center, slack = np.array(facts.center_of_mass), 0.05 * model.diameter  # models are not exact
-    low, high = model.bounds_object[0] - slack, model.bounds_object[1] + slack
+    # models are not exact
+    center = np.array(facts.center_of_mass)
+    slack = 0.05 * model.diameter
+    low = model.bounds_object[0] - slack
+    high = model.bounds_object[1] + slack
     if not ((low <= center) & (center <= high)).all():
-        expected = f"expected metres from {checks.brief(low.round(4))} to {checks.brief(high.round(4))}"
-        raise InvalidInput(f"center_of_mass: {expected}, where the object is, got {checks.brief(center)}")
+        bounds = f"{checks.brief(low.round(4))} to {checks.brief(high.round(4))}"
+        raise InvalidInput(f"center_of_mass: expected metres from {bounds}, got {checks.brief(center)}")
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A `Folder` is a library whose documents and models are side by side in a folder."""
+    """Library whose documents and models are side by side in a folder."""
 
     place: Path
 
@@ -108,8 +98,9 @@ class Folder:
         """Returns the contents of both documents; raises NoLibrary where there are none, InvalidFile."""
         models = self.models
         if not (models / INFO).exists():
-            message = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
-            raise NoLibrary(f"{self.place}: {message}")
+            raise NoLibrary(
+                f"{self.place}: expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
+            )
         # Info is read first: an add writes it last, so that the facts of every object in it are already there.
         info = read_bytes(models / INFO, LARGEST_DOCUMENT)
         if not (models / FACTS).exists():
@@ -118,7 +109,8 @@ class Folder:
 
     def file(self, entry: Entry) -> Path:
         """Returns the path of the model's file; raises InvalidFile where it is missing or has changed since the add."""
-        path, facts = self.models / entry.file, entry.facts
+        path = self.models / entry.file
+        facts = entry.facts
         check_content(path, facts.sha256 if facts else None, facts.bytes if facts else None)
         return path
 
@@ -130,19 +122,18 @@ class Folder:
             documents = self.documents() if (models / INFO).exists() else (b"{}", None)
             for entry in entries(documents, str(self.place)):
                 if entry.name == new["name"]:
-                    owner = f"{entry.name!r}, which is that of object {entry.number}"
-                    raise InvalidInput(f"name: expected a new one, got {owner}")
+                    raise InvalidInput(f"name: expected a new one, got that of object {entry.number}")
             infos = decode_object(documents[0], INFO)
             # Facts that an interrupted add has left behind must not become those of another object.
             facts = {key: value for key, value in _facts(documents).items() if key in infos}
-            stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
-            taken = [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
             # A file that no document lists keeps its number.
-            taken += map(int, infos)
-            number = 1 + max([0, *taken])
+            files = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
+            taken = {int(text) for text in (*infos, *files) if re.fullmatch("[0-9]{1,9}", text)}
+            number = 1 + max(taken, default=0)
             if number > MAX_NUMBER:
                 number = next(free for free in range(1, MAX_NUMBER) if free not in taken)
-            facts[str(number)], infos[str(number)] = new, new_info
+            facts[str(number)] = new
+            infos[str(number)] = new_info
             write_file(models / f"obj_{number:06d}.ply", ply)
             write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
             write_file(models / INFO, _json(infos))
@@ -180,30 +171,23 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keeps other threads and processes from writing to a folder; raises NotWritten where another holds it too long.
+    """Keeps other threads and processes from writing to a folder; raises NotWritten where another writes already.
 
-    It is the operating system's lock on an open file: it ends with its process, however that ends, and file servers
-    (NFS, SMB) keep it between machines. A folder on a file system without locks is refused, because of two writers one
-    could lose what the other added.
+    It is the operating system's lock on an open file, which ends with its process, however that ends. A folder on a
+    file system without locks is refused, because of two writers one could lose what the other added.
     """
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / ".handsight.lock"
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            raise NotWritten(f"{path}: cannot be written: expected a file, got something else")
-        # If it becomes a link or a pipe meanwhile, opening it neither follows the one nor waits for the other.
-        strict = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        # If it is a link or a pipe, opening it neither follows the one nor waits for the other.
+        strict = os.O_NOFOLLOW | os.O_NONBLOCK
         with open(path, "ab", opener=lambda name, flags: os.open(name, flags | strict, 0o666)) as file:
-            until = time.monotonic() + LOCK_SECONDS
-            while True:
-                try:
-                    _lock(file)
-                    break
-                except (BlockingIOError, PermissionError):
-                    if time.monotonic() > until:
-                        message = f"another process has been adding to it for {LOCK_SECONDS:g} s"
-                        raise NotWritten(f"{folder}: cannot be written: {message}") from None
-                time.sleep(0.02)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise NotWritten(
+                    f"{folder}: cannot be written: another process is adding to it; try again"
+                ) from None
             yield
 
 
@@ -214,11 +198,8 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
         if size is not None and came != size:
             raise InvalidFile(f"{path}: expected {size} bytes, got {came}: changed since it was added")
     if sha256 is not None:
-        check_sha256(path, sha256, hashlib.sha256(read_bytes(path, came)).hexdigest())
-
-
-def check_sha256(name: str | Path, sha256: str, found: str) -> None:
-    """Raises InvalidFile, whose message begins with `name`, where the SHA-256 found is not that of the added file."""
-    if found != sha256:
-        message = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
-        raise InvalidFile(f"{name}: {message}")
+        found = hashlib.sha256(read_bytes(path, came)).hexdigest()
+        if found != sha256:
+            raise InvalidFile(
+                f"{path}: expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
+            )

@@ -9,6 +9,8 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 
@@ -37,15 +39,20 @@ def default_place() -> str:
 
 
 class Library:
-    """A `Library` is a set of objects by name, in a folder or at a URL; each call reads the documents anew."""
+    """Set of objects by name, in a folder or at a URL; each call reads the documents anew."""
 
     def __init__(self, place: str | os.PathLike[str] | None = None) -> None:
-        """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for any other value."""
+        """`place`: a folder or a URL of http, https or file; None: `default_place`. Raises InvalidInput for others."""
         place = default_place() if place is None else place
-        if not isinstance(place, str | os.PathLike) or "\0" in (named := os.fspath(place)):
-            raise InvalidInput(f"library: expected a folder or a URL, got {checks.brief(place)!r}")
+        named = os.fspath(place) if isinstance(place, str | os.PathLike) else "\0"
+        kind = named.partition("://")[0].lower() if "://" in named else ""
         self.place = without_password(named)
-        self._source: Folder | Remote = Remote(named) if "://" in named else Folder(Path(named))
+        if "\0" in named or kind not in ("", "file", "http", "https"):
+            came = without_password(checks.brief(place))
+            raise InvalidInput(f"library: expected a folder or a URL of http, https or file, got {came!r}")
+        if kind == "file":
+            named = url2pathname(urlsplit(named).path)
+        self._source: Folder | Remote = Remote(named) if kind.startswith("http") else Folder(Path(named))
 
     def __repr__(self) -> str:
         return f"<Library {self.place}>"
@@ -75,8 +82,11 @@ class Library:
         where = f"{entry.place}: {entry.file}: symmetries"
         check_symmetries(model, model.symmetries, where, tolerance=SURFACE_TOLERANCE)
         if facts := entry.facts:
-            keys = ("mass", "center_of_mass", "sigma_center_of_mass")
-            model = model.with_weight(**{key: getattr(facts, key) for key in keys})
+            model = model.with_weight(
+                mass=facts.mass,
+                center_of_mass=facts.center_of_mass,
+                sigma_center_of_mass=facts.sigma_center_of_mass,
+            )
         return model
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
@@ -85,12 +95,14 @@ class Library:
             try:
                 points = read_shape(self.file(entry)).vertices
                 if np.isfinite(points).all() and np.ptp(points, axis=0).max() > 0:
-                    measured, declared = diameter(points), entry.info.diameter
+                    measured = diameter(points)
+                    declared = entry.info.diameter
                     # Some documents state the diagonal of the bounding box, which is at most √3 times too large.
                     if not 1 / 3 < measured / declared < 3:
-                        expected = f"expected the diameter {declared:.4g} mm"
                         where = f"{entry.place}: {entry.file}"
-                        raise InvalidFile(f"{where}: {expected}, got {measured:.4g}: another unit?")
+                        raise InvalidFile(
+                            f"{where}: expected the diameter {declared:.4g} mm, got {measured:.4g}: another unit?"
+                        )
                 if not entry.symmetries.trivial:
                     self.model(str(entry.number))
             except HandsightError as error:
@@ -105,7 +117,8 @@ class Library:
         if isinstance(self._source, Folder):
             raise InvalidInput(f"{self.place}: expected a URL, such as https://..., got a folder")
         self._source.refresh()
-        wrong, wanted = [], self.entries()
+        wrong = []
+        wanted = self.entries()
         for k, entry in enumerate(wanted):
             advance(k / len(wanted), entry.name)
             try:
@@ -147,9 +160,16 @@ class Library:
         if entry.facts is None:
             raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
         x, y, z = (float(value) for value in np.round(center_of_mass, 6))
-        text = {key: getattr(entry.facts, key) for key in ("name", "licence", "source")}
-        sigma = round(float(sigma_center_of_mass), 6)
-        facts = Facts(**text, mass=round(mass, 6), center_of_mass=(x, y, z), sigma_center_of_mass=sigma)
+        facts = Facts(
+            name=entry.facts.name,
+            licence=entry.facts.licence,
+            source=entry.facts.source,
+            origin_file=entry.facts.origin_file,
+            sigma_scale=entry.facts.sigma_scale,
+            mass=round(mass, 6),
+            center_of_mass=(x, y, z),
+            sigma_center_of_mass=round(float(sigma_center_of_mass), 6),
+        )
         check_inside(facts, self.model(name))
         self._source.revise(entry.number, facts)
         return self.entry(name)
@@ -183,5 +203,6 @@ def find_model(
             return library.model(entry.name)
     in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
     near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
-    expected = f"expected a name of {place or in_library} or a mesh file"
-    raise InvalidInput(f"{argument}: {expected}, got {checks.brief(name)!r}{near}")
+    raise InvalidInput(
+        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
+    )

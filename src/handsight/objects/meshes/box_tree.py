@@ -10,12 +10,12 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.surface import Triangles
+from handsight.objects.surface import Triangles, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxTree:
-    """A `BoxTree` is an order of items in which neighbours in space follow each other, divided into leaves."""
+    """Order of items in which neighbours in space follow each other, divided into leaves."""
 
     order: Indices
     """(n,) indices of the items in that order."""
@@ -37,16 +37,18 @@ class BoxTree:
         return np.concatenate(levels[::-1])
 
 
-def box_tree(centers: Array, most: int = 16) -> BoxTree:
-    """Returns a tree over items at `centers` (n, 3), halved until no leaf has more than `most` items."""
+def box_tree(centers: Array) -> BoxTree:
+    """Returns a tree over items at `centers` (n, 3), halved until no leaf has more than 16 items."""
     n = len(centers)
     order = np.arange(n)
     starts = np.array([0, n])
-    while np.diff(starts).max() > most:
+    while np.diff(starts).max() > 16:
         x = centers[order]
-        low, high = np.minimum.reduceat(x, starts[:-1]), np.maximum.reduceat(x, starts[:-1])
+        low = np.minimum.reduceat(x, starts[:-1])
+        high = np.maximum.reduceat(x, starts[:-1])
         leaf = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-        axis, span = (high - low).argmax(axis=1), (high - low).max(axis=1)
+        axis = (high - low).argmax(axis=1)
+        span = (high - low).max(axis=1)
         along = x[np.arange(n), axis[leaf]] - low[np.arange(len(low)), axis][leaf]
         # The integer part is the leaf, the fraction the place within it: one sort for all leaves.
         key = leaf + 0.999 * along / np.where(span > 0, span, 1.0)[leaf]
@@ -58,7 +60,7 @@ def box_tree(centers: Array, most: int = 16) -> BoxTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosestPoints:
-    """`ClosestPoints` are the points of a mesh closest to n given points."""
+    """Points of a mesh closest to n given points."""
 
     distance: Array
     """(n,) distances from the given points [m], not signed."""
@@ -71,7 +73,7 @@ class ClosestPoints:
 
 
 class ClosestPointSearch:
-    """A `ClosestPointSearch` finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
+    """Finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
     def __init__(self, mesh: Triangles, tree: BoxTree | None = None) -> None:
         """Builds the search for a mesh of at least one triangle; `tree`: over its triangles, if it was built before."""
@@ -81,8 +83,8 @@ class ClosestPointSearch:
         boxes = tree.boxes(corners.min(axis=1), corners.max(axis=1))
         # Each leaf has a second box, whose z axis is along the mean of the leaf's normals.
         normals = np.add.reduceat(mesh.doubled_normals[tree.order], tree.starts[:-1])
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+        normals[~normals.any(axis=1), 2] = 1.0  # of a closed leaf
+        third = unit(normals)
         first = se3.perpendicular(third)
         frames = np.stack([first, np.cross(third, first), third], axis=1)
         turned = corners @ np.repeat(frames, np.diff(tree.starts), axis=0).swapaxes(1, 2)
@@ -98,7 +100,8 @@ class ClosestPointSearch:
         from handsight._kernels.mesh.nearest_triangle import RESULT, closest  # numba's import is long
         from handsight._kernels.runtime.threads import in_parts
 
-        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros((len(points), RESULT))
+        places = np.require(points, np.float64, ["C", "W"])
+        found = np.zeros((len(points), RESULT))
         in_parts(lambda some, there: closest(some, within, self._tree, there), (places, found), 1000)
         index = np.flatnonzero(np.isfinite(found[:, 0]))
         found = found[index]
@@ -107,7 +110,7 @@ class ClosestPointSearch:
 
 
 class Winding:
-    """A `Winding` computes the winding number of a triangle mesh or an oriented cloud around a point.
+    """Winding number of a triangle mesh or an oriented cloud around a point.
 
     It is 1 inside, 0 outside, and in between near holes. The method is that of Barill, Dickson, Schmidt, Levin and
     Jacobson 2018, "Fast winding numbers for soups and clouds": a patch that is far away counts as one dipole, its area
@@ -126,14 +129,17 @@ class Winding:
         starts = tree.starts
         while len(starts) > 4001:  # leaves are joined until there are at most 4000 patches
             starts = starts[::2]
-        first, sizes = starts[:-1], np.diff(starts)
-        centers, vectors = centers[tree.order], area_vectors[tree.order]
+        first = starts[:-1]
+        sizes = np.diff(starts)
+        centers = centers[tree.order]
+        vectors = area_vectors[tree.order]
         weight = np.linalg.norm(vectors, axis=1) + 1e-300
         total = np.add.reduceat(weight, first)
         middles = np.add.reduceat(centers * weight[:, None], first) / total[:, None]
         spread = np.linalg.norm(centers - np.repeat(middles, sizes, axis=0), axis=1)
         if corners is None:
-            corners, reach = np.empty((0, 3, 3)), np.zeros(len(centers))
+            corners = np.empty((0, 3, 3))
+            reach = np.zeros(len(centers))
         else:
             corners = corners[tree.order]
             reach = np.max([np.linalg.norm(corners[:, k] - centers, axis=1) for k in range(3)], axis=0)
@@ -151,11 +157,12 @@ class Winding:
         from handsight._kernels.mesh.winding import winding  # numba's import is long
         from handsight._kernels.runtime.threads import in_parts
 
-        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros(len(points))
+        places = np.require(points, np.float64, ["C", "W"])
+        found = np.zeros(len(points))
         surface = self.patches, self.elements
         in_parts(lambda some, there: winding(some, *surface, there), (places, found), 200)
         return found
 
     def inside(self, points: Array) -> Mask:
         """Returns (n,) whether the winding numbers at the points (n, 3) [m] are above one half."""
-        return np.asarray(self.at(points) > 0.5)
+        return self.at(points) > 0.5

@@ -10,7 +10,7 @@ from handsight.objects.geometry import Geometry, geometry_of, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.scans.scan import smoothed
-from handsight.objects.surface import SURFACE, Triangles, diameter
+from handsight.objects.surface import MAX_HOLE, Triangles, diameter, unit
 
 
 def mesh_geometry(mesh: Triangles) -> Geometry:
@@ -18,15 +18,18 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
     mesh, roughness = smoothed(mesh, size)
-    tree = tree if roughness is None else box_tree(mesh.corners.mean(axis=1))
     coarse, fine, coarser = grids(mesh.vertices, size)
-    search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
+    tree = tree if roughness is None else box_tree(mesh.corners.mean(axis=1))
+    search = ClosestPointSearch(mesh, tree)
+    winding = Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
-    closed = bool(holes[1].max(initial=0.0) <= SURFACE.max_hole * size)
+    closed = bool(holes[1].max(initial=0.0) <= MAX_HOLE * size)
     if closed:  # are the winding numbers those of a closed surface?
         points, normals, _ = side_samples(mesh)
-        behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
+        step = 1e-4 * size * normals
+        behind = winding.at(points - step)
+        front = winding.at(points + step)
         # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
         good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
         closed = bool(good.mean() >= 0.95)  # those of nearly all samples
@@ -66,9 +69,8 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     # Four places around each piece, between the directions along its triangle and across it.
     of_edge = np.empty(len(rim), dtype=np.int64)
     of_edge[edges.of_face] = np.arange(len(mesh.faces))[:, None]
-    normal = mesh.doubled_normals[of_edge[rim]]
-    lateral = np.cross(normal, along)
-    normal, lateral = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, lateral))
+    normal = unit(mesh.doubled_normals[of_edge[rim]])
+    lateral = unit(np.cross(mesh.doubled_normals[of_edge[rim]], along))
     turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
     # At a tenth of a cell from an edge winding numbers show a rim; slits up to half as wide make none.
     around = middles[:, None] + 0.1 * cell / np.sqrt(2) * turns[edge]
@@ -102,35 +104,20 @@ def signed_by_winding(
     above one half.
 
     `index` (n,) of the nodes; `closest`: their closest points. Two neighbouring nodes whose distances add up to more
-    than the step between them have no surface between them, so they share a sign, and the winding numbers of a few
-    nodes of each connected set are enough. Near holes, where inside and outside are connected, that of every node is
-    computed.
+    than the step between them have no surface between them, so they share a sign, and of each connected set the winding
+    number of the node farthest from the surface is enough. Near holes, where inside and outside are connected, that of
+    every node is computed.
     """
-
     points = grid.nodes_at(index)
     free = np.ones(len(points), dtype=bool)
     for middle, extent in zip(*holes, strict=True):
         free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
-    inside = np.zeros(len(points), dtype=bool)
-    todo = np.arange(len(points))
-    # Nodes are linked if their distances add up to more than `margin` steps. Straight across a face they add up to one
-    # step, to rounding. Where nodes of a set disagree, a distance that is a little too large has linked the two sides,
-    # and the set is divided again with a larger margin; the last margin links no nodes.
-    for margin in (1.001, 1.5, np.inf):
-        label = linked(index[todo], grid.shape, closest.distance[todo], free[todo], margin * grid.cell)
-        order = np.argsort(label, kind="stable")
-        size = np.bincount(label)
-        start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), 16))  # so many nodes of a set vote
-        voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
-        nodes, which = np.unique(voters, return_inverse=True)
-        votes = winding.inside(points[todo][nodes])[which].reshape(voters.shape)
-        inside[todo] = votes[label, 0]
-        agreed = np.asarray(votes.all(axis=1) | ~votes.any(axis=1))
-        todo = todo[~agreed[label]]
-        if not len(todo):
-            break
-    return np.asarray(np.where(inside, -closest.distance, closest.distance))
+    # Straight across a face the distances add up to one step, to rounding.
+    label = linked(index, grid.shape, closest.distance, free, 1.5 * grid.cell)
+    farthest_first = np.argsort(-closest.distance)
+    first = np.unique(label[farthest_first], return_index=True)[1]
+    inside = winding.inside(points[farthest_first[first]])
+    return np.where(inside[label], -closest.distance, closest.distance)
 
 
 def linked(index: Indices, shape: tuple[int, ...], distance: Array, free: Mask, limit: float) -> Indices:
@@ -156,11 +143,12 @@ def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: Closes
     """
     # One zero: the closest point is on the edge opposite that corner (12 for corner 0). Two: it is the third corner.
     zero = closest.weights == 0
-    edge, corner = np.array([2, 3, 1])[zero.argmax(axis=1)], 4 + (~zero).argmax(axis=1)
+    edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
+    corner = 4 + (~zero).argmax(axis=1)
     feature = np.choose(zero.sum(axis=1), [np.zeros_like(edge), edge, corner])
     normal = normals[closest.face, feature]
     behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
-    return np.asarray(np.where(behind, -closest.distance, closest.distance))
+    return np.where(behind, -closest.distance, closest.distance)
 
 
 def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
@@ -170,13 +158,16 @@ def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
     on the rim, edges in `rim` (e,), they are zero.
     """
     faces = mesh.faces
-    normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]
+    normal = mesh.normals
     (edges, of_face, _), corners = mesh.edges, mesh.corners
-    at_edge, at_vertex = np.zeros((len(edges), 3)), np.zeros((len(mesh.vertices), 3))
+    at_edge = np.zeros((len(edges), 3))
+    at_vertex = np.zeros((len(mesh.vertices), 3))
     for k in range(3):
         np.add.at(at_edge, of_face[:, k], normal)
-        u, v = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        u = corners[:, (k + 1) % 3] - corners[:, k]
+        v = corners[:, (k + 2) % 3] - corners[:, k]
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
         np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
-    at_edge[rim], at_vertex[edges[rim]] = 0.0, 0.0
+    at_edge[rim] = 0.0
+    at_vertex[edges[rim]] = 0.0
     return np.concatenate([normal[:, None], at_edge[of_face], at_vertex[faces]], axis=1)

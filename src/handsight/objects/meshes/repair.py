@@ -20,7 +20,8 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     points, triangles = _referenced(mesh.vertices, mesh.faces, remarks)
     # STL, and OBJ with texture, repeat vertices for every triangle.
     first, which = distinct(points, check_extent(points, "vertices"))
-    points, triangles = points[first], which[triangles]
+    points = points[first]
+    triangles = which[triangles]
     triangles = _distinct(points, triangles, remarks)
     edges = Triangles(points, triangles).edges
     if (edges.counts == 1).any():
@@ -44,11 +45,13 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
         flip, orientable = agreeing(i // 3, j // 3, agree, len(triangles))
         triangles = _turned_over(triangles, flip)
         if turned := int(flip.sum()):
-            what = "triangles were turned to agree with their neighbours"
-            remarks.append(f"{turned} of {len(triangles)} {what}")
+            remarks.append(
+                f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours"
+            )
         if not orientable:
-            what = "its triangles cannot all agree on what is outside"
-            remarks.append(f"the surface has one side only somewhere: {what}")
+            remarks.append(
+                "the surface has one side only somewhere: its triangles cannot all agree on what is outside"
+            )
     tree = box_tree(points[triangles].mean(axis=1))
     return _facing_out(Triangles(points, triangles), tree, remarks), tree, tuple(remarks)
 
@@ -93,8 +96,9 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     step = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))  # less than any wall is thick
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
     # A patch has a winding number of -0.5 in front of it, a turned solid of -1.
-    inside_out = [k for k in np.unique(piece[face]) if np.median(front[piece[face] == k]) < -0.55]
-    inverted = np.isin(np.arange(count), inside_out)
+    inverted = np.zeros(count, dtype=bool)
+    for k in np.unique(piece[face]):
+        inverted[k] = np.median(front[piece[face] == k]) < -0.55
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
@@ -126,7 +130,8 @@ def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool
     row = np.concatenate([i, i + size])
     column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
     label = components(row, column, 2 * size)
-    as_is, turned = label[:size], label[size:]
+    as_is = label[:size]
+    turned = label[size:]
     # The two components of a piece have two labels; of these the one with more nodes "as it is" wins.
     votes = np.bincount(as_is, minlength=label.max() + 1)
     flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))

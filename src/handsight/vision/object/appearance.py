@@ -1,8 +1,8 @@
 """The points of an object that depth images are compared with: pairs that vote, and which are visible from where."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +21,19 @@ SAMPLES, FEW = 2400, 600
 DIRECTIONS = 800  # directions from which it is computed which of them are visible
 
 
-class TurnsOptions(NamedTuple):
-    """`TurnsOptions` say which motions bring most of an object's surface onto itself."""
-
-    starts: int = 1500  # rotations that they are searched from
-    points: int = 150  # of the surface
-    within: float = 0.03  # of the surface, where a point counts as on it [diameters]
-    least: float = 0.75  # share of the points
-    spacing: float = 0.08  # between two of them [diameters]
-    most: int = 48
-
-
-TURNS = TurnsOptions()
-PIXELS, AWAY, BEHIND = 200, 5.0, 0.02
+TURNS_STARTS = 1500  # rotations that they are searched from
+TURNS_POINTS = 150  # of the surface
+TURNS_WITHIN = 0.03  # of the surface, where a point counts as on it [diameters]
+TURNS_LEAST = 0.75  # share of the points
+TURNS_SPACING = 0.08  # between two of them [diameters]
+TURNS_MOST = 48
+PIXELS, AWAY, BEHIND = 200, 5, 0.02
 """The object is drawn by so many pixels a diameter and from so many diameters; points that are so little behind what is
 drawn are visible [diameters]."""
 
 
 class Sides(NamedTuple):
-    """`Sides` are points of an object's surface, and which of them are visible from where."""
+    """Points of an object's surface, and which of them are visible from where."""
 
     samples: Array  # (2, m, 3) points and normals
     directions: Array  # (k, 3) unit, from the object's centre
@@ -49,7 +43,7 @@ class Sides(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """An `Appearance` is computed of an object once, for all depth images."""
+    """What is computed of an object once, for all depth images."""
 
     pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
     """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
@@ -60,8 +54,19 @@ class Appearance:
     """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 
 
-@lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
+_APPEARANCES = WeakKeyDictionary[ObjectModel, Appearance]()
+"""Those of the models that are alive."""
+
+
 def appearance_of(model: ObjectModel) -> Appearance:
+    """Returns the appearance of an object, computed once for each model and forgotten with it."""
+    found = _APPEARANCES.get(model)
+    if found is None:
+        found = _APPEARANCES[model] = _computed(model)
+    return found
+
+
+def _computed(model: ObjectModel) -> Appearance:
     """Returns the appearance of an object; pairs and visible points are kept on disk beside its fields."""
     voters, samples = np.stack([model.points_object, model.normals_object]), np.stack(model.sample(SAMPLES))
     samples = np.concatenate([samples[:, k :: SAMPLES // FEW] for k in range(SAMPLES // FEW)], axis=1)
@@ -78,26 +83,33 @@ def appearance_of(model: ObjectModel) -> Appearance:
     packed = bits.reshape(DIRECTIONS, -1)
     sides = Sides(samples, directions, packed, area)
     few = Sides(samples[:, :FEW].copy(), directions, packed[:, : FEW // 8].copy(), area * (SAMPLES // FEW))
-    count, diameter = voters.shape[1], model.diameter
-
-    def table() -> NDArray[np.int32]:
-        cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
-        votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
-        cell, spin = cells.reshape(-1), spins.reshape(-1)
-        order = np.argsort(cell, kind="stable")
-        order = order[np.searchsorted(cell[order], 0) :]
-        starts = np.searchsorted(cell[order], np.arange(votes.CELLS + 1))
-        turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
-        return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
-
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
-    name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
-    starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
+    name = cache.key(f"pairs 1 {steps}", voters, np.array(model.diameter))
+    table = cache.remembered_numbers("numbers", name, np.int32, lambda: pair_table(voters, model.diameter))
+    starts, pairs = np.split(table, [votes.CELLS + 1])
     symmetries = model.symmetries
     axes = np.array(symmetries.axes).reshape(-1, 3)
-    name = cache.key(f"turns 2 {TURNS}", *voters, symmetries.rotations, axes)
+    name = cache.key(
+        f"turns 3 {TURNS_STARTS} {TURNS_POINTS} {TURNS_WITHIN} {TURNS_LEAST} {TURNS_SPACING} {TURNS_MOST}",
+        *voters,
+        symmetries.rotations,
+        axes,
+    )
     turns = cache.remembered_numbers("turns", name, np.float64, lambda: near_symmetries(model).reshape(-1))
     return Appearance((starts, pairs), voters, sides, few, turns.reshape(-1, 4, 4))
+
+
+def pair_table(voters: Array, diameter: float) -> NDArray[np.int32]:
+    """Returns where the pairs of each cell begin, and then the pairs, of points and normals (2, n, 3)."""
+    count = voters.shape[1]
+    cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
+    votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
+    cell, spin = cells.reshape(-1), spins.reshape(-1)
+    order = np.argsort(cell, kind="stable")
+    order = order[np.searchsorted(cell[order], 0) :]
+    starts = np.searchsorted(cell[order], np.arange(votes.CELLS + 1))
+    turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
+    return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
 
 
 def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
@@ -139,10 +151,13 @@ def near_symmetries(model: ObjectModel) -> Array:
     Points of the surface are laid onto it from many rotations, as those of an image are, and then from products of
     those motions that are found.
     """
-    points, normals = model.sample(TURNS.points)
+    points, normals = model.sample(TURNS_POINTS)
     rows, rng = np.zeros(len(points), dtype=DEPTH_POINT), np.random.default_rng(0)
     rows["point"], rows["normal"] = points, normals
-    stages = np.array([(0, 0.12, 0.06, 6, 1), (1, 0.06, 0.03, 6, 1)], dtype=STAGE)
+    stages = np.array(
+        [(0, 4 * TURNS_WITHIN, 2 * TURNS_WITHIN, 6, 1), (1, 2 * TURNS_WITHIN, TURNS_WITHIN, 6, 1)],
+        dtype=STAGE,
+    )
 
     def about_center(R: Array) -> Array:
         return se3.compose(R, model.center_object - R @ model.center_object)
@@ -151,21 +166,21 @@ def near_symmetries(model: ObjectModel) -> Array:
         """Returns which share of the points is on the surface after motions (k, 4, 4), with its normal."""
         distance, gradient, _ = model.fine.evaluate(se3.apply(se3.inverse(Ts), points).reshape(-1, 3))
         g = gradient.reshape(len(Ts), -1, 3) @ Ts[:, :3, :3].swapaxes(1, 2)
-        same = np.abs(distance).reshape(len(Ts), -1) < TURNS.within * model.diameter
+        same = np.abs(distance).reshape(len(Ts), -1) < TURNS_WITHIN * model.diameter
         return np.asarray((same & (np.abs((g * normals).sum(2)) > 0.5 * np.linalg.norm(g, axis=2))).mean(1))
 
     found, share = np.eye(4)[None], np.full(1, 2.0)
-    starts = about_center(se3.random(rng, TURNS.starts)[:, :3, :3])
+    starts = about_center(se3.random(rng, TURNS_STARTS)[:, :3, :3])
     for _ in range(2):
         laid = candidates_at(starts)
         laid["bound"] = 0.01 * model.diameter
         depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, laid)
         Ts = poses_of(laid)
-        likely = shares(Ts) > TURNS.least * shares(np.eye(4)[None])
+        likely = shares(Ts) > TURNS_LEAST * shares(np.eye(4)[None])
         found, share = np.concatenate([found, Ts[likely]]), np.append(share, shares(Ts[likely]))
-        starts = np.matmul(*found[rng.integers(len(found), size=(2, TURNS.starts // 2))])
+        starts = np.matmul(*found[rng.integers(len(found), size=(2, TURNS_STARTS // 2))])
     # A shift alone is none: the search tries those by itself.
     turned = candidates_at(about_center(found[:, :3, :3]))
     turned["votes"] = np.arange(len(turned))
-    turned = distinct(model, turned, share, TURNS.most + 1, TURNS.spacing)
+    turned = distinct(model, turned, share, TURNS_MOST + 1, TURNS_SPACING)
     return np.asarray(found[turned["votes"][1:].astype(int)])

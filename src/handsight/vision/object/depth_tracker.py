@@ -5,19 +5,18 @@ as it moved before. What the image does not show of a pose stays as expected, wi
 handle is hidden fits at any turn, and only its covariance says so.
 """
 
+from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.copies import shallow_copy
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at, center_depths
@@ -29,45 +28,38 @@ from handsight.vision.object.region import check_metres
 State = Literal["tracking", "uncertain", "lost"]
 
 
-class DepthTrackerOptions(NamedTuple):
-    """`DepthTrackerOptions` say how an object is followed from image to image."""
-
-    velocity_share: float = 0.8  # of its velocity, that an object outside a grip keeps until the next image
-    max_gap: float = 0.5  # between images, for a velocity to be used [s]
-    drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
-    drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
-    unchanged: float = 2.0  # squared error of the expected pose up to which its motion has not changed
-    min_points: int = 15  # near the surface that an image must have to give a pose
-    min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
-    min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
-    min_fit: float = 0.7
-    """Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
-    that it is wrong."""
-    fit_weight: float = 6.0  # of what is above or below it in the log odds that the pose is right
-    max_rms: float = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
-    rms_weight: tuple[float, float] = (4.0, 1.5)
-    """Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
-    than they are declared."""
-    most: float = 2.0  # log odds that images before add to those of one
-    uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
-    lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
-    min_twin: float = 0.05
-    """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
-    search_period: float = 0.2  # between searches of the entire image [s]
-    min_found: float = 0.6  # share of the expected pixels that a found object must explain
-    likely: float = 0.5  # probability above which only those count of them that nothing hides
-    found_again: float = 0.85
-    """Least probability of the first pose of an object that was lost: it may be gone."""
-
-
-DEPTH_TRACKER = DepthTrackerOptions()
+VELOCITY_SHARE = 0.8  # of its velocity, that an object outside a grip keeps until the next image
+MAX_GAP = 0.5  # between images, for a velocity to be used [s]
+TRACK_DRIFT = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
+DRIFT_IN_PALM = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
+TRACK_UNCHANGED = 2.0  # squared error of the expected pose up to which its motion has not changed
+MIN_POINTS = 15  # near the surface that an image must have to give a pose
+MIN_PIXELS = 20  # explained pixels that an image must have to give a pose
+MIN_AGAINST = 30  # pixels against a pose that an image must have to contradict it
+MIN_FIT = 0.7
+"""Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
+that it is wrong."""
+FIT_WEIGHT = 6  # of what is above or below it in the log odds that the pose is right
+MAX_RMS = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
+RMS_WEIGHT = (4, 1.5)
+"""Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
+than they are declared."""
+TRACK_MOST = 2  # log odds that images before add to those of one
+TRACK_UNCERTAIN = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
+TRACK_LOST = 0.12  # and beyond which a hidden object is lost [diameters]
+MIN_TWIN = 0.05
+"""Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
+SEARCH_PERIOD = 0.2  # between searches of the entire image [s]
+MIN_FOUND = 0.6  # share of the expected pixels that a found object must explain
+TRACK_LIKELY = 0.5  # probability above which only those count of them that nothing hides
+FOUND_AGAIN = 0.85
+"""Least probability of the first pose of an object that was lost: it may be gone."""
 HIDDEN = "hardly anything of it is seen"
 
 
-@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """A `Sighting` is the estimate of a tracked object's pose after one depth image."""
+    """The estimate of a tracked object's pose after one depth image."""
 
     stamp: float  # of the image [s]
     T_camera_object: Array | None  # (4, 4); None: lost
@@ -80,7 +72,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
-    """An `_Image` has the checked arguments of `DepthTracker.update`."""
+    """The checked arguments of `DepthTracker.update`."""
 
     stamp: float
     depth: Depth
@@ -92,7 +84,7 @@ class _Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Belief:
-    """A `_Belief` is the state of the tracker at an image's stamp."""
+    """The state of the tracker at an image's stamp."""
 
     stamp: float
     pose_camera_object: GaussianPose
@@ -112,7 +104,7 @@ class _Belief:
 
 
 class DepthTracker:
-    """A `DepthTracker` follows an object in a camera's depth images, and searches it at first and when it was lost."""
+    """Follows an object in a camera's depth images, and searches it at first and when it was lost."""
 
     def __init__(
         self,
@@ -127,15 +119,15 @@ class DepthTracker:
         self.source = source
         """Finds the object at first and when it was lost; it may be set anew between images."""
         self.model, self.camera = model, camera
-        self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
-        self._T_object_center[:3, 3] = model.center_object
+        self._refiner = PoseRefiner(model, camera, noise)
+        self._T_object_center = se3.compose(np.eye(3), model.center_object)
         self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
         self._searched, self._absent = -np.inf, "not found"
 
     def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
         """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
-        other = shallow_copy(self)
+        other = copy(self)
         other._start, other._belief, other._searched = se3.rounded(T_camera_object, "start"), None, stamp
         return other
 
@@ -162,14 +154,17 @@ class DepthTracker:
         check_metres(depth)
         if hand is not None:
             self.camera.check_size(hand, "hand")
-        T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
-        plane = None if table is None else checks.finite(table, "table", (4,))
-        hint = None if expected is None else se3.rounded(expected, "expected")
+        if T_camera_palm is not None:
+            T_camera_palm = se3.check(T_camera_palm, "T_camera_palm")
+        if table is not None:
+            table = checks.finite(table, "table", (4,))
+        if expected is not None:
+            expected = se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
-        before = self._belief, self._searched
-        sighting = self._observed(_Image(now, depth, hand, plane, T_palm, gripped), hint)
-        if before[0] is not None and 0 < before[0].stamp - now <= DEPTH_TRACKER.max_gap:
-            self._belief, self._searched = before
+        belief, searched = self._belief, self._searched
+        sighting = self._observed(_Image(now, depth, hand, table, T_camera_palm, gripped), expected)
+        if belief is not None and 0 < belief.stamp - now <= MAX_GAP:
+            self._belief, self._searched = belief, searched
         return sighting
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
@@ -192,7 +187,7 @@ class DepthTracker:
         unsure = surface_shift(self.model, pose)
         refined.candidate["pose"] = candidates_at(pose.T_a_b[None])["pose"]
         reason = "" if enough else HIDDEN
-        if enough and unsure > DEPTH_TRACKER.uncertain * self.model.diameter:
+        if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
             reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
         state: State = "uncertain" if reason else "tracking"
         return Sighting(image.stamp, pose.T_a_b, pose.covariance, state, reason, refined.candidate)
@@ -204,65 +199,76 @@ class DepthTracker:
             hint = self._start if hint is None else hint
             return None if hint is None else self._unknown(image, hint, lost=False)
         dt = max(image.stamp - last.stamp, 0.0)
-        pose, drift = last.pose_camera_object, DEPTH_TRACKER.drift
+        pose, drift, odds = last.pose_camera_object, TRACK_DRIFT, last.odds
         covariance, independent, shared = pose.covariance, last.independent, last.shared
-        velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
+        velocity = VELOCITY_SHARE * last.velocity * (dt <= MAX_GAP)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
             T_new_old = image.T_camera_palm @ se3.inverse(last.T_camera_palm)
             T = at_rest = T_new_old @ pose.T_a_b
-            drift = DEPTH_TRACKER.drift_in_palm
+            drift = DRIFT_IN_PALM
             turn = np.kron(np.eye(2), T_new_old[:3, :3])
-            covariance, independent = (turn @ each @ turn.T for each in (covariance, independent))
+            covariance = turn @ covariance @ turn.T
+            independent = turn @ independent @ turn.T
             shared = turn @ shared
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
             T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
         # An object that is not observed may go on with one velocity: after a time t it is off by t sigma.
         grown = dt * (dt + 2 * max(last.stamp - last.observed, 0.0))
-        sigmas = drift, DEPTH_TRACKER.drift_in_palm
-        much, little = (self._covariance_of_origin(T, np.repeat(grown * np.square(s), 3)) for s in sigmas)
-        T, at_rest, odds = (T, at_rest, last.odds) if hint is None else (hint, hint, 0.0)
-        pose, independent = GaussianPose(T, covariance + much), independent + much
-        found = _Belief(
-            image.stamp, pose, image.T_camera_palm, independent, at_rest, last.observed, last.lost
+        much = self._covariance_of_origin(T, np.repeat(grown * np.square(drift), 3))
+        little = self._covariance_of_origin(T, np.repeat(grown * np.square(DRIFT_IN_PALM), 3))
+        changed = np.zeros((6, 6)) if last.lost else much - little
+        if hint is not None:
+            T = at_rest = hint
+            changed, odds = np.zeros((6, 6)), 0.0
+        return replace(
+            last,
+            stamp=image.stamp,
+            pose_camera_object=GaussianPose(T, covariance + much),
+            T_camera_palm=image.T_camera_palm,
+            independent=independent + much,
+            T_at_rest=at_rest,
+            velocity=velocity,
+            shared=shared,
+            changed=changed,
+            odds=odds,
         )
-        changed = much - little if not last.lost and hint is None else found.changed
-        return replace(found, velocity=velocity, shared=shared, changed=changed, odds=odds)
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
-        pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.changed)
+        T = predicted.pose_camera_object.T_a_b
+        pose = GaussianPose(T, predicted.independent - predicted.changed)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        shown = image.depth, image.hand, image.table
-        return self._refiner.at(pose.T_a_b, known, *shown, T_at_rest=predicted.T_at_rest)
+        return self._refiner.at(T, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest)
 
     def _weighed(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """Returns the belief with the log odds that an image adds to it."""
-        options, candidate, noise = DEPTH_TRACKER, refined.candidate, self._refiner.noise
-        if not (_is_enough(refined) or against(candidate) > options.min_against):
+        candidate = refined.candidate
+        noise = self._refiner.noise
+        if not (_is_enough(refined) or against(candidate) > MIN_AGAINST):
             return predicted
         z = center_depths(self.model, candidate)
         within_pixel = z / (np.sqrt(12) * self.camera.matrix[0, 0])  # of a surface that is slanted by 45°
         sigma = np.hypot(np.hypot(noise.sigma(z), noise.bias(z)), within_pixel)
-        worse = float((candidate["rms"] / sigma)[0]) - options.max_rms
-        slope, most = options.rms_weight
-        added = options.fit_weight * (support_share(candidate) - options.min_fit)
+        worse = float((candidate["rms"] / sigma)[0]) - MAX_RMS
+        slope, most = RMS_WEIGHT
+        added = FIT_WEIGHT * (support_share(candidate) - MIN_FIT)
         added -= min(slope * max(worse, 0.0), most)
-        return replace(predicted, odds=min(max(predicted.odds, -options.most), options.most) + added)
+        return replace(predicted, odds=min(max(predicted.odds, -TRACK_MOST), TRACK_MOST) + added)
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
         if predicted.odds < 0:
             share, rms = support_share(refined.candidate), refined.candidate["rms"][0]
-            far = f", {1000 * rms:.1f} mm off" if share > DEPTH_TRACKER.min_fit else ""
+            far = f", {1000 * rms:.1f} mm off" if share > MIN_FIT else ""
             return f"it explains {100 * share:.0f} % of what is seen there{far}"
-        limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
+        limit, pose = TRACK_LOST * self.model.diameter, predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
         return HIDDEN if hidden else ""
 
     def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""
-        if abs(image.stamp - self._searched) < DEPTH_TRACKER.search_period:
+        if abs(image.stamp - self._searched) < SEARCH_PERIOD:
             return None
         self._searched = image.stamp
         noise = self._refiner.noise
@@ -271,12 +277,12 @@ class DepthTracker:
         )
         self._absent = f"not found: {found.reason}" if found.reason else "not found"
         expected = found.candidates["expected"]
-        if found.probability > DEPTH_TRACKER.likely:
+        if found.probability > TRACK_LIKELY:
             expected = expected - found.candidates["hidden"]
-        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * expected
-        likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
+        fits = found.candidates["explained"] >= MIN_FOUND * expected
+        likely = found.weights >= MIN_TWIN * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
-        if not len(Ts) or (self._belief is not None and found.probability < DEPTH_TRACKER.found_again):
+        if not len(Ts) or (self._belief is not None and found.probability < FOUND_AGAIN):
             return None
         if self._belief is not None:  # of poses that fit alike, the one turned least from where it was
             last = self._belief.pose_camera_object.T_a_b[:3, :3]
@@ -293,7 +299,7 @@ class DepthTracker:
         pose, measured = predicted.pose_camera_object, refined.pose_camera_object
         off, P, R = se3.difference(measured.T_a_b, pose.T_a_b), predicted.independent, measured.covariance
         own = pose.covariance - predicted.shared @ predicted.shared.T
-        if off @ np.linalg.solve(P - predicted.changed + R, off) < DEPTH_TRACKER.unchanged:
+        if off @ np.linalg.solve(P - predicted.changed + R, off) < TRACK_UNCHANGED:
             P, own = P - predicted.changed, own - predicted.changed
         gain = self._gain(pose.T_a_b, P, R)
         keep = np.eye(6) - gain
@@ -303,11 +309,19 @@ class DepthTracker:
         pose = GaussianPose(se3.moved(pose.T_a_b, gain @ off), (covariance + covariance.T) / 2)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
-        elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
-            before, now = (T @ self._T_object_center for T in (last.pose_camera_object.T_a_b, pose.T_a_b))
+        elif 0 < predicted.stamp - last.stamp <= MAX_GAP:
+            before = last.pose_camera_object.T_a_b @ self._T_object_center
+            now = pose.T_a_b @ self._T_object_center
             velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
-        known = replace(predicted, pose_camera_object=pose, independent=independent, shared=shared)
-        return replace(known, velocity=velocity, lost=False, observed=predicted.stamp)
+        return replace(
+            predicted,
+            pose_camera_object=pose,
+            independent=independent,
+            shared=shared,
+            velocity=velocity,
+            lost=False,
+            observed=predicted.stamp,
+        )
 
     def _gain(self, T_camera_object: Array, P: Array, R: Array) -> Array:
         """Returns the gain (6, 6) of a measurement of the object's origin with covariance R, before which it is P.
@@ -330,9 +344,9 @@ class DepthTracker:
         """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
         variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
-        C, palm = self._covariance_of_origin(T_camera_object, variance), image.T_camera_palm
+        C = self._covariance_of_origin(T_camera_object, variance)
         pose = GaussianPose(T_camera_object, C)
-        return _Belief(image.stamp, pose, palm, C, T_camera_object, image.stamp, lost)
+        return _Belief(image.stamp, pose, image.T_camera_palm, C, T_camera_object, image.stamp, lost)
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
         """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""
@@ -342,8 +356,8 @@ class DepthTracker:
 
 def _is_enough(refined: RefinedPose) -> bool:
     """Returns whether an image shows enough of the object to say something of its pose."""
-    options, explained = DEPTH_TRACKER, refined.candidate["explained"][0]
-    return bool(refined.points >= options.min_points and explained >= options.min_pixels)
+    explained = refined.candidate["explained"][0]
+    return bool(refined.points >= MIN_POINTS and explained >= MIN_PIXELS)
 
 
 def surface_shift(model: ObjectModel, pose: GaussianPose) -> float:

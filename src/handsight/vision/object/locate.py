@@ -3,57 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_arguments
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.observation import Detection2D
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of, surface_distances
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, first_pose, log_odds, logit
+from handsight.vision.object.first_pose import ObjectDetection, first_pose, log_odds, logit
 from handsight.vision.object.pose_refiner import PoseRefiner
-from handsight.vision.object.region import REGION, Scene, scene_of
-from handsight.vision.object.shape_index import ShapeIndex
+from handsight.vision.object.region import MAX_RANGE, Scene, scene_of
 
 Box = Sequence[float] | Array  # u0, v0, u1, v1: the first column and row, and the last, all included [pixels]
 Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
 """Poses of the object in the camera: (4, 4), (k, 4, 4), or with their covariances."""
 
 
-class LocateOptions(NamedTuple):
-    """`LocateOptions` say when an object is found in an image, and when a pose that was given is right."""
-
-    max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
-    min_probability: float = 0.5
-    """Least probability of the best pose at which the object counts as found (`experiments/sight_fit.py` prints what
-    it accepts and claims)."""
-    meaningless: float = 0.1
-    """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
-    unscored: float = 0.7  # score that a box or mask around one object counts as, if it has none
-    around_one: float = 2.0  # such a region's largest area [areas of a square as wide as the object]
-    max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
-    rival_level: float = 0.05  # odds of a pose against another one below which that other one is better
-    max_starts: int = 100
-    compared: int = 4000  # pixels of an image by which objects are compared that would explain the same ones
-    support: tuple[float, float] = (20.0, 0.033)
-    """Pixels by which logarithms of two objects' weights differ by 1, and what is added per pixel that any explains."""
-
-
-LOCATE = LocateOptions()
+MAX_PLANE = 1.5  # a plane wider than this is no part of the object [diameters]
+MIN_PROBABILITY = 0.5
+"""Least probability of the best pose at which the object counts as found."""
+LOCATE_MEANINGLESS = 0.1
+"""Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
+LOCATE_UNSCORED = 0.7  # score that a box or mask around one object counts as, if it has none
+AROUND_ONE = 2.0  # such a region's largest area [areas of a square as wide as the object]
+MAX_STARTS = 100
+LOCATE_COMPARED = 4000  # pixels of an image by which objects are compared that would explain the same ones
+LOCATE_SUPPORT = (20, 0.033)
+"""Pixels by which logarithms of two objects' weights differ by 1, and what is added per pixel that any explains."""
 MAX_DETECTIONS = 8  # detections of an object in an image that are searched, those with the highest scores
 
 
-@renamed_arguments("model", "camera", "depth", second=Camera, wanted="mask")
 def locate(
     model: ObjectModel,
     depth: Depth,
@@ -73,33 +61,29 @@ def locate(
     box, mask, start and score are what another detector says of the object. box (u0, v0, u1, v1): the first and the
     last column and row that it may be in, rounded outwards; what lies outside the image is cut off. mask (h, w): pixels
     that it may be in, not 0. None: all pixels. start: T_camera_object (4, 4) of another estimator, or several (k, 4,
-    4), or GaussianPoses, whose covariances hold directions of which the image says nothing. Each is refined and
-    compared with what is found without it; `ObjectDetection.starts` says which are right. score: the detector's
-    confidence in (0, 1], by which the probability changes (`score_log_odds`); .7 for a box or mask without one that is
-    around a single object (`region_log_odds`).
+    4), or GaussianPoses, whose covariances hold directions of which the image says nothing. Each is refined, and judged
+    like those that are found without it. score: the detector's confidence in (0, 1], by which the probability changes
+    (`score_log_odds`); .7 for a box or mask without one that is around a single object (`region_log_odds`).
 
     hand (h, w): pixels of the hand. table (4,): `n·P + offset = 0` in the camera, n towards it; None: the widest plane.
     noise: of the depth. Raises InvalidInput for images of another size than the camera's, for depth that is not in
     metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
-    wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * model.diameter
+    wanted, extent = search_mask(camera, box, mask), MAX_PLANE * model.diameter
     prior = region_log_odds(model, camera, depth, wanted) if score is None else score_log_odds(score)
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        starts = None if given is None else _nowhere(given)
-        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene, wanted, hand, noise), starts)
+        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene, wanted, hand, noise))
     refined = None if given is None else _refined(model, scene, given, noise)
     found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
-    if given is not None and refined is not None:
-        found = replace(found, starts=_judged(model, given, refined, found, prior))
-    if found.probability >= LOCATE.min_probability:
+    if found.probability >= MIN_PROBABILITY:
         return found
     name = model.name or "the object"
     doubt = f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
     reason = doubt if len(found.candidates) else "no surface there is large enough to tell its shape"
     reason += _too_near(model, scene, wanted, hand, noise)
-    return ObjectDetection.nowhere(reason, found.starts, found.probability)
+    return ObjectDetection.nowhere(reason, found.probability)
 
 
 def _too_near(
@@ -107,14 +91,14 @@ def _too_near(
 ) -> str:
     """Returns what a reason ends with where the object would be wider than the image and is found ten times as far."""
     z = float(np.median(scene.depth[scene.depth > 0])) if scene.depth.any() else np.inf
-    if model.diameter * scene.camera.matrix[0, 0] < min(scene.camera.size) * z or 10 * z > REGION.max_range:
+    if model.diameter * scene.camera.matrix[0, 0] < min(scene.camera.size) * z or 10 * z > MAX_RANGE:
         return ""
     found = locate(model, 10 * scene.depth, scene.camera, mask=wanted, hand=hand, noise=noise)
     return "" if found.reason else "; ten times as far it is found: depth in another unit (--depth-scale)?"
 
 
 class FirstPoseSource(Protocol):
-    """A `FirstPoseSource` is a function that finds an object in a depth image, without a guess; `locate` is one.
+    """A function that finds an object in a depth image, without a guess; `locate` is one.
 
     Another one usually asks a detector or an estimator, and passes what it answers to `locate` as box, mask, score or
     start, with the keywords that it was called with.
@@ -174,7 +158,7 @@ def locate_detected(
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """A `Recognition` says which object a depth image shows, and where."""
+    """Which object a depth image shows, and where."""
 
     scores: dict[str, float]  # probability of each name, the likeliest first
     none: float  # probability that it is none of them; with the scores it sums to 1
@@ -188,7 +172,6 @@ class Recognition:
         return best if best is not None and self.scores[best] > self.none else None
 
 
-@renamed_arguments("models", "camera", "depth", second=Camera, wanted="mask")
 def recognise(
     models: Mapping[str, ObjectModel],
     depth: Depth,
@@ -203,30 +186,28 @@ def recognise(
 ) -> Recognition:
     """Returns which of the models (by name) a depth image shows in a box or a mask; arguments are as `locate`'s.
 
-    Each is searched in the same segments of the image; of a `ShapeIndex` those that it names, and only they are in the
-    answer. found: what `locate` answers of each in the boxes of a detector or from the poses of an estimator, in place
-    of a search. Raises InvalidInput as `locate` does, and for no models.
+    Each is searched in the same segments of the image. found: what `locate` answers of each in the boxes of a detector
+    or from the poses of an estimator, in place of a search. Raises InvalidInput as `locate` does, and for no models.
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
-    index = models if isinstance(models, ShapeIndex) else None
-    largest = index.max_diameter if index else max(model.diameter for model in models.values())
-    wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * largest
+    largest = max(model.diameter for model in models.values())
+    wanted, extent = search_mask(camera, box, mask), MAX_PLANE * largest
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
-    models = index.nearest(scene) if index and not found else models
     found = found or {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
     # Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds
     # are of shares of each object's own. None of them is there as probably as the likeliest is not.
     detected = [name for name, one in found.items() if len(one.candidates)]
-    step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE.compared)))
-    inside = scene.labels[::step, ::step] >= 0
+    wanted = scene.labels >= 0
+    step = max(1, round(np.sqrt(wanted.sum() / LOCATE_COMPARED)))
+    inside = wanted[::step, ::step]
     points = scene.camera.points(scene.depth)[::step, ::step][inside].astype(np.float64)
     pixels, explained = dict[str, Array](), np.zeros(len(points))
     for name in detected:
         modes, bound = found[name].candidates, found[name].candidates["bound"][:, None]
         each = np.maximum(1 - (surface_distances(models[name], points, bound.max(), modes) / bound) ** 2, 0)
         pixels[name], explained = step**2 * each.sum(axis=1), np.maximum(explained, each.max(axis=0))
-    size = LOCATE.support[0] + LOCATE.support[1] * step**2 * explained.sum()
+    size = LOCATE_SUPPORT[0] + LOCATE_SUPPORT[1] * step**2 * explained.sum()
     support = logit([found[name].probability for name in detected])
     support += [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
     weights = np.exp(support - support.max(initial=-np.inf))
@@ -272,20 +253,20 @@ def score_log_odds(score: float) -> float:
     """Returns the log odds that an object is there, by the score in (0, 1] of a detector that reported it.
 
     The score is taken as the probability that the detection is right, but may be meaningless with a probability m
-    (`LocateOptions.meaningless`): the networks that give it are overconfident, and some give similarities. The
+    (`LOCATE_MEANINGLESS`): the networks that give it are overconfident, and some give similarities. The
     probability is then m/2 + (1 - m)·score, whose log odds are 0 for a score of ½ and within ± log(2/m - 1), about 3.
     They are added to those of the depth image (Bayes' rule), which are for even odds. Raises InvalidInput.
     """
     value = checks.positive(score, "score")
     if value > 1:
         raise InvalidInput(f"score: expected a number above 0 and at most 1, got {value:g}")
-    return float(logit(LOCATE.meaningless / 2 + (1 - LOCATE.meaningless) * value))
+    return float(logit(LOCATE_MEANINGLESS / 2 + (1 - LOCATE_MEANINGLESS) * value))
 
 
 def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Mask | None) -> float:
     """Returns the log odds that an object is there because somebody looks for it in some pixels (h, w); None: in all.
 
-    They are those of a detector's score of `LocateOptions.unscored` if the pixels are about as many as the object's,
+    They are those of a detector's score of `LOCATE_UNSCORED` if the pixels are about as many as the object's,
     because then somebody saw it there, and 0 for a wider region.
     """
     inside = depth[wanted > 0] if wanted is not None and wanted.shape == depth.shape else depth[:0]
@@ -293,26 +274,27 @@ def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Ma
     if not len(known):
         return 0.0
     side = model.diameter * camera.matrix[0, 0] / float(np.median(known))
-    return score_log_odds(LOCATE.unscored) if inside.size <= LOCATE.around_one * side**2 else 0.0
+    return score_log_odds(LOCATE_UNSCORED) if inside.size <= AROUND_ONE * side**2 else 0.0
 
 
 def _checked_starts(start: Start) -> list[GaussianPose]:
     """Returns the poses that were given, with a covariance of infinity where none was; raises InvalidInput."""
-    several, poses = [start] if isinstance(start, GaussianPose) else start, list[GaussianPose]()
-    if isinstance(several, Sequence) and any(isinstance(each, GaussianPose) for each in several):
-        for k, each in enumerate(several):
+    given = [start] if isinstance(start, GaussianPose) else start
+    poses = list[GaussianPose]()
+    if isinstance(given, Sequence) and any(isinstance(each, GaussianPose) for each in given):
+        for k, each in enumerate(given):
             if not isinstance(each, GaussianPose):
                 came = type(each).__name__
                 raise InvalidInput(f"start[{k}]: expected a GaussianPose as the others are, got {came}")
             poses.append(GaussianPose.checked(each.T_a_b, each.covariance, f"start[{k}]"))
     else:
-        alone = checks.ndim(several) != 3
-        Ts = checks.finite(cast(ArrayLike, several), "start", (4, 4) if alone else (None, 4, 4))
+        alone = checks.ndim(given) != 3
+        Ts = checks.finite(cast(ArrayLike, given), "start", (4, 4) if alone else (None, 4, 4))
         unknown = np.full((6, 6), np.inf)
         for k, T in enumerate(Ts.reshape(-1, 4, 4)):
             poses.append(GaussianPose(se3.rounded(T, "start" if alone else f"start[{k}]"), unknown))
-    if not 0 < len(poses) <= LOCATE.max_starts:
-        raise InvalidInput(f"start: expected 1 to {LOCATE.max_starts} poses, got {len(poses)}")
+    if not 0 < len(poses) <= MAX_STARTS:
+        raise InvalidInput(f"start: expected 1 to {MAX_STARTS} poses, got {len(poses)}")
     return poses
 
 
@@ -325,34 +307,4 @@ def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise:
         if np.isfinite(pose.covariance).all():
             known = np.asarray(np.linalg.pinv(pose.at_point(model.center_object).covariance, hermitian=True))
         Ts.append(refiner.at(pose.T_a_b, known, scene.depth, scene.labels < 0, None).pose_camera_object.T_a_b)
-    return candidates_at(np.array([*(pose.T_a_b for pose in given), *Ts]))
-
-
-def _judged(
-    model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection, prior: float
-) -> JudgedStarts:
-    """Returns what an image says of poses; `refined` CANDIDATE (2k,): of `_refined`, scored by `first_pose`."""
-    limit, (as_given, after) = LOCATE.max_moved * model.diameter, np.split(refined, 2)
-    best = np.where(after["score"] > as_given["score"], after, as_given)
-    Ts, odds = poses_of(best), log_odds(best)
-    moved = np.array([surface_distance(model, pose.T_a_b, T) for pose, T in zip(given, Ts, strict=True)])
-    away = np.array([[surface_distance(model, T, other) for other in found.Ts_camera_object] for T in Ts])
-    others = np.where(away > limit, log_odds(found.candidates), -np.inf)
-    # What depth alone can hardly tell apart, such as a bottle's front and back, contradicts no pose.
-    better = others.max(axis=1, initial=-np.inf) > odds - np.log(LOCATE.rival_level)
-    probabilities = 1 / (1 + np.exp(-(odds + prior).clip(-500, 500)))
-    right = (probabilities >= LOCATE.min_probability) & (moved <= limit) & ~better
-    return JudgedStarts(Ts, moved, probabilities, better, right)
-
-
-def _nowhere(given: list[GaussianPose]) -> JudgedStarts:
-    """Returns that poses are wrong, as the image has nothing that may be the object."""
-    zeros, no = np.zeros(len(given)), np.zeros(len(given), dtype=bool)
-    return JudgedStarts(np.array([pose.T_a_b for pose in given]), zeros, zeros, no, no)
-
-
-def surface_distance(model: ObjectModel, T: Array, T_reference: Array) -> float:
-    """Returns the largest distance of a surface point at a pose (4, 4) from that at another, modulo symmetry [m]."""
-    points = model.points_object
-    off = se3.apply(model.nearest(T, T_reference), points) - se3.apply(T_reference, points)
-    return float(np.linalg.norm(off, axis=1).max())
+    return candidates_at(np.array([pose.T_a_b for pose in given] + Ts))

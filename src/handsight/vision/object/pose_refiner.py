@@ -16,23 +16,16 @@ from handsight.vision.candidates import Candidates, candidates_at, center_depths
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within
-from handsight.vision.object.region import REGION
+from handsight.vision.object.region import TABLE_WITHIN
 
-
-class RefinerOptions(NamedTuple):
-    """`RefinerOptions` say how a pose is refined on an image."""
-
-    within: float = 0.12  # distance from the expected surface within which a point counts [diameters]
-    margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
-    max_points: int = 400  # points that refine a pose
-    max_pixels: int = 2000  # pixels of the window that they are chosen from
-    creep: float = 0.04  # more explained pixels that a moved pose must have than one at rest
-    good: float = 0.7  # fit of a pose, for points farther from the expected one not to be tried
-    continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
-    covariance_points: int = 50  # of these points, by which the covariance is computed
-
-
-REFINER = RefinerOptions()
+REFINER_WITHIN = 0.12  # distance from the expected surface within which a point counts [diameters]
+REFINER_MARGIN = 0.15  # around the object's silhouette, in which points are gathered [diameters]
+MAX_POINTS = 400  # points that refine a pose
+MAX_PIXELS = 2000  # pixels of the window that they are chosen from
+REFINER_CREEP = 0.04  # more explained pixels that a moved pose must have than one at rest
+REFINER_GOOD = 0.7  # fit of a pose, for points farther from the expected one not to be tried
+REFINER_CONTINUED = 3  # pixels against a pose that one counts for where the surface goes on beside it
+COVARIANCE_POINTS = 50  # of these points, by which the covariance is computed
 
 STAGES = np.array([(0, 0.12, 0.05, 4, 4), (1, 0.05, 0.0, 3, 1)], dtype=STAGE)
 """How the pose is moved to the points, with bounds in diameters."""
@@ -41,7 +34,7 @@ NEAR_STAGES = np.array([(1, 0.0, 0.0, 4, 1)], dtype=STAGE)
 
 
 class RefinedPose(NamedTuple):
-    """A `RefinedPose` is the pose that depth alone gives."""
+    """The pose that depth alone gives."""
 
     pose_camera_object: GaussianPose
     candidate: Candidates  # CANDIDATE (1,)
@@ -49,7 +42,7 @@ class RefinedPose(NamedTuple):
 
 
 class PoseRefiner:
-    """A `PoseRefiner` refines poses of one object, image by image; it keeps a copy of the part that it reads."""
+    """Refines poses of one object, image by image; it keeps a copy of the part that it reads."""
 
     def __init__(self, model: ObjectModel, camera: Camera, noise: DepthNoise) -> None:
         """`noise`: of the camera's depth."""
@@ -57,9 +50,7 @@ class PoseRefiner:
         self._depth = np.zeros(camera.size[::-1], dtype=np.float32)
         self._labels = np.full(camera.size[::-1], OUT, dtype=np.int32)
         self._window = np.zeros(1, dtype=WINDOW)
-        self._window["within"] = REFINER.within * model.diameter
-        self._window["plane_within"] = REGION.table_within
-        self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
+        self._window["plane_within"] = TABLE_WITHIN
 
     def at(
         self,
@@ -80,15 +71,16 @@ class PoseRefiner:
         self._take(T_expected, depth, hand, table)
         z = center_depths(self.model, candidates_at(T_expected[None]))
         bound = float(explained_within(self.noise, z)[0])
-        wide = REFINER.within * self.model.diameter
-        if T_at_rest is None:
-            candidate, points = self._moved(T_expected, known, wide, STAGES, None)
-        else:
-            candidate, points = best = self._moved(T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
-            if not support_share(candidate) > REFINER.good:
-                found = self._moved(T_expected, known, wide, STAGES, None)
-                candidate, points = found if support(found[0]) > support(candidate) else best
-        some = np.ascontiguousarray(points[:: max(len(points) // REFINER.covariance_points, 1)])
+        wide = REFINER_WITHIN * self.model.diameter
+        best = None
+        if T_at_rest is not None:
+            best = self._moved(T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
+        if best is None or not support_share(best[0]) > REFINER_GOOD:
+            found = self._moved(T_expected, known, wide, STAGES, None)
+            if best is None or support(found[0]) > support(best[0]):
+                best = found
+        candidate, points = best
+        some = np.ascontiguousarray(points[:: max(len(points) // COVARIANCE_POINTS, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
 
@@ -98,21 +90,24 @@ class PoseRefiner:
         """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
         It is the other pose (4, 4) if the image supports that better."""
         candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
+        candidate = candidates[:1]
         record = self.model.record[:2]
-        image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)
-        candidate, self._window["within"] = candidates[:1], within
-        points = self._points[: depth_image.near_points(record, image, self._window, candidate, self._points)]
+        image = self.camera.rays, self._depth, self._labels
+        points = np.zeros(MAX_POINTS, dtype=DEPTH_POINT)
+        self._window["within"] = within
+        points = points[: depth_image.near_points(record, image, self._window, candidate, points)]
+        z = center_depths(self.model, candidates)
         candidates["bound"] = explained_within(self.noise, z)
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
         # A little more support is noise, or the model's error: what does not move must not creep.
-        gain = 1 + REFINER.creep * np.arange(len(candidates))
+        gain = 1 + REFINER_CREEP * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
         outline.find_continued(self.camera.record, record, image, self._window, candidate)
-        return candidate, points.copy()
+        return candidate, points
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
         """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""
@@ -123,23 +118,20 @@ class PoseRefiner:
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.camera.record, points, pixels)
         low, high = np.fmin.reduce(pixels), np.fmax.reduce(pixels)
-        focal, box = self.camera.matrix[0, 0], (slice(0, 0), slice(0, 0))
+        left = top = right = bottom = 0
         if not np.isnan(low[0]):  # NaN where it is out of the image
-            nearest = max(points[:, 2].min(), REFINER.margin)
-            margin = 1 + REFINER.margin * self.model.diameter * focal / nearest
+            nearest = max(points[:, 2].min(), REFINER_MARGIN)
+            margin = 1 + REFINER_MARGIN * self.model.diameter * self.camera.matrix[0, 0] / nearest
             ends = np.stack([low - margin, high + margin + 1]).clip(0, self.camera.size)
             (left, top), (right, bottom) = ends.astype(int).tolist()
-            box = slice(top, bottom), slice(left, right)
-        copied = self._depth[box]
-        copied[:] = depth[box]
-        # Many cameras have 0 for no depth, and one sum is quicker than a mask.
-        if not np.isfinite(copied.sum()):
-            copied[~np.isfinite(copied)] = 0
-        self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
-        rows, columns = box
-        window["rows"], window["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
-        area = (rows.stop - rows.start) * (columns.stop - columns.start)
-        window["step"] = max(1, round(float(np.sqrt(area / REFINER.max_pixels))))
+        box = slice(top, bottom), slice(left, right)
+        shown = depth[box]
+        self._depth[box] = np.where(np.isfinite(shown), shown, 0)
+        self._labels[box] = 0 if hand is None else np.where(hand[box], HAND, 0)
+        window["rows"] = top, bottom
+        window["columns"] = left, right
+        area = (bottom - top) * (right - left)
+        window["step"] = max(1, round(float(np.sqrt(area / MAX_PIXELS))))
         if table is not None:
             window["plane"] = table
             depth_image.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)
@@ -147,7 +139,7 @@ class PoseRefiner:
 
 def against(candidate: Candidates) -> float:
     """Returns the pixels that contradict CANDIDATE (1,): the camera sees past it, or the surface goes on beside it."""
-    return float(candidate["passed"][0] + REFINER.continued * candidate["unexplained"][0])
+    return float(candidate["passed"][0] + REFINER_CONTINUED * candidate["unexplained"][0])
 
 
 def support(candidate: Candidates) -> float:

@@ -1,7 +1,6 @@
 """Where in a depth image an object may be: its wanted pixels without hand and table, in connected segments."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,25 +12,18 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 
-
-class RegionOptions(NamedTuple):
-    """`RegionOptions` say how an image is divided into table and segments."""
-
-    table_within: float = 0.010  # points nearer to the table's plane are the table's [m]
-    trials: int = 200  # planes through three points each
-    trial_pixels: int = 750  # pixels that choose among them
-    refine_pixels: int = 3000  # pixels that the chosen one is fitted to
-    min_segment: int = 40  # pixels of a segment that is used
-    max_range: float = 20.0  # an image half of which is beyond it is in another unit [m]
-    checked_rows: int = 60  # of an image, by which that is decided
-
-
-REGION = RegionOptions()
+TABLE_WITHIN = 0.010  # points nearer to the table's plane are the table's [m]
+REGION_TRIALS = 200  # planes through three points each
+TRIAL_PIXELS = 750  # pixels that choose among them
+REFINE_PIXELS = 3000  # pixels that the chosen one is fitted to
+MIN_SEGMENT = 40  # pixels of a segment that is used
+MAX_RANGE = 20  # an image half of which is beyond it is in another unit [m]
+CHECKED_ROWS = 60  # of an image, by which that is decided
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A `Scene` is a depth image, with the segments of it that may be the object."""
+    """A depth image, with the segments of it that may be the object."""
 
     camera: Camera
     depth: Depth  # (h, w) [m]; 0 where there is none
@@ -49,8 +41,8 @@ class Scene:
         What is left is divided into segments again."""
         labels = np.where(self.labels >= 0, np.int32(depth_image.OPEN), self.labels)
         labels[excluded & (self.labels >= 0)] = HAND
-        sizes = np.empty(labels.size // REGION.min_segment + 1)
-        count = depth_image.label_parts(self.depth, labels, REGION.min_segment, sizes)
+        sizes = np.empty(labels.size // MIN_SEGMENT + 1)
+        count = depth_image.label_parts(self.depth, labels, MIN_SEGMENT, sizes)
         return replace(self, labels=labels, sizes=sizes[:count].copy())
 
 
@@ -80,19 +72,19 @@ def scene_of(
     plane = np.array([0, 0, 0, np.inf]) if table is None else checks.finite(table, "table", (4,))
     filled, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
     image = tuple(map(np.ascontiguousarray, (depth, where, covered)))
-    depth_image.sort_pixels(camera.rays, image, np.append(plane, REGION.table_within), filled, labels)
-    sizes = np.empty(labels.size // REGION.min_segment + 1)
-    count = depth_image.label_parts(filled, labels, REGION.min_segment, sizes)
+    depth_image.sort_pixels(camera.rays, image, np.append(plane, TABLE_WITHIN), filled, labels)
+    sizes = np.empty(labels.size // MIN_SEGMENT + 1)
+    count = depth_image.label_parts(filled, labels, MIN_SEGMENT, sizes)
     return Scene(camera, filled, labels, sizes[:count].copy())
 
 
 def check_metres(depth: Depth) -> None:
     """Raises InvalidInput for a depth image (h, w) that is not in metres: most of its depths are beyond any room's."""
     # A part of its pixels says that as well as all, in a hundredth of the time.
-    step = max(1, min(depth.shape) // REGION.checked_rows)
+    step = max(1, min(depth.shape) // CHECKED_ROWS)
     known = depth[::step, ::step]
     known = known[(known > 0) & (known < np.inf)]
-    if len(known) and np.median(known) > REGION.max_range:
+    if len(known) and np.median(known) > MAX_RANGE:
         came = f"a median of {np.median(known):.4g} (millimetres?)"
         raise InvalidInput(f"depth: expected metres, got {came}")
 
@@ -104,16 +96,17 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) ->
     if len(pixels) < 500:
         return None
     rng = np.random.default_rng(0)
-    chosen = pixels[rng.choice(len(pixels), min(len(pixels), REGION.refine_pixels), replace=False)]
+    chosen = pixels[rng.choice(len(pixels), min(len(pixels), REFINE_PIXELS), replace=False)]
     z = depth.reshape(-1)[chosen].astype(np.float64)
     points = np.c_[camera.rays.reshape(-1, 2)[chosen] * z[:, None], z]
-    within = REGION.table_within * np.maximum(z * z, 1)  # the noise of depth grows like that
-    a, b, c = (points[rng.integers(len(points), size=REGION.trials)] for _ in range(3))
+    within = TABLE_WITHIN * np.maximum(z * z, 1)  # the noise of depth grows like that
+    a, b, c = (points[rng.integers(len(points), size=REGION_TRIALS)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
-    normals, a = normals[length > 1e-6] / length[length > 1e-6, None], a[length > 1e-6]
-    offsets, some = (a * normals).sum(axis=1), slice(REGION.trial_pixels)
-    near = np.abs(points[some] @ normals.T - offsets) < within[some, None]
+    proper = length > 1e-6
+    normals = normals[proper] / length[proper, None]
+    offsets = (a[proper] * normals).sum(axis=1)
+    near = np.abs(points[:TRIAL_PIXELS] @ normals.T - offsets) < within[:TRIAL_PIXELS, None]
     best = near.sum(axis=0).argmax()
     on = np.abs(points @ normals[best] - offsets[best]) < within
     for _ in range(3):
@@ -122,7 +115,7 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) ->
         n = np.linalg.eigh(off.T @ off)[1][:, 0]
         on = np.abs((points - middle) @ n) < within
     on = points[on]
-    spread = np.sqrt(np.linalg.eigvalsh(np.cov((on - on.mean(axis=0)).T))[-2:] * 12)
+    spread = np.sqrt(np.linalg.eigvalsh(np.cov(on.T))[-2:] * 12)
     if spread[0] < extent or len(on) < 0.1 * len(points):
         return None
     n = n if n @ middle < 0 else -n

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are used
+from numpy.typing import ArrayLike
 
 from handsight import se3
-from handsight._deprecated import renamed_members
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
@@ -18,25 +17,18 @@ from handsight.hand.chains import Chains, transform_points
 from handsight.hand.surface import sample_by_area
 from handsight.objects import Triangles
 
-
-class AppearanceOptions(NamedTuple):
-    """`AppearanceOptions` say which points of a hand a camera can see."""
-
-    points: int = 1200  # by which a hand is aligned with an image
-    merge_distance: float = 0.005  # side of the cells in which vertices are merged to draw the hand [m]
-    pixel_stride: int = 4  # pixels of an image for each that is drawn
-    max_depth: float = 0.006  # how far a visible point may lie behind what is drawn [m]
-    min_facing: float = 0.1  # the least cosine of its normal with the direction to the camera
-    beside: float = 0.02  # distance from the hand's outline at which there is air, in steps of a search [m]
-    continued_depth: float = 0.015  # how far behind the hand a surface beside the outline continues it [m]
-
-
-APPEARANCE = AppearanceOptions()
+APPEARANCE_POINTS = 1200  # by which a hand is aligned with an image
+MERGE_DISTANCE = 0.005  # side of the cells in which vertices are merged to draw the hand [m]
+PIXEL_STRIDE = 4  # pixels of an image for each that is drawn
+MAX_DEPTH = 0.006  # how far a visible point may lie behind what is drawn [m]
+MIN_FACING = 0.1  # the least cosine of its normal with the direction to the camera
+APPEARANCE_BESIDE = 0.02  # distance from the hand's outline at which there is air, in steps of a search [m]
+CONTINUED_DEPTH = 0.015  # how far behind the hand a surface beside the outline continues it [m]
 
 
 @dataclass(frozen=True, eq=False)
 class HandAppearance:
-    """A `HandAppearance` has points and triangles of a hand, each of which moves with one link; it is computed once."""
+    """Points and triangles of a hand, each of which moves with one link; it is computed once."""
 
     chains: Chains
     skin: tuple[Array, Array, Indices]
@@ -48,12 +40,13 @@ class HandAppearance:
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
         """Returns the appearance of the links that the palm carries; raises InvalidInput for a file without shapes."""
-        shape, (points, normals, body) = hand.shape(), skin_points(hand, APPEARANCE.points)
+        shape = hand.shape()
+        points, normals, body = skin_points(hand, APPEARANCE_POINTS)
         order = np.random.default_rng(0).permutation(len(points))
         area = Triangles(shape.vertices_body, shape.faces).area
         skin = points[order], normals[order], body[order]
         # The coarse hand: the vertices of a link in one cell are merged to their mean.
-        cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
+        cells = np.c_[shape.body_of, np.floor(shape.vertices_body / MERGE_DISTANCE)]
         _, where = np.unique(cells, axis=0, return_inverse=True)
         where = where.reshape(-1)
         middles = [np.bincount(where, column) / np.bincount(where) for column in shape.vertices_body.T]
@@ -65,28 +58,27 @@ class HandAppearance:
         coarse = np.stack(middles, axis=1), body, faces[first].astype(np.int64)
         return cls(shape.chains, skin, coarse, area / len(points))
 
-    def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
-        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m]. Raises
-        InvalidInput as `Hand.Ts_palm_tip` does."""
+    def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: ArrayLike = 0.0) -> "PlacedHand":
+        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m], or by
+        errors (j, m) as `Rig.joint_errors` has them. Raises InvalidInput as `Hand.Ts_palm_tip` does."""
         Ts, axes = self.chains.poses(joint_positions)
         turns = Ts.copy()
         turns[:, :3, 3] = 0
         points, normals, bodies = self.skin
         skin = np.stack([transform_points(points, bodies, Ts), transform_points(normals, bodies, turns)])
         vertices = transform_points(self.coarse[0], self.coarse[1], Ts)
-        return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
+        return PlacedHand(self, skin, vertices, axes, self.chains.errors(sigma_joint))
 
 
-@renamed_members(look="appearance", seen_from="visible_from")
 @dataclass(frozen=True, eq=False)
 class PlacedHand:
-    """A `PlacedHand` is a hand in the palm's axes, with its joints at certain positions."""
+    """A hand in the palm's axes, with its joints at certain positions."""
 
     appearance: HandAppearance
     skin: Array  # (2, m, 3) points [m] and outward normals
     vertices: Array  # (k, 3) of the coarse triangles [m]
     axes: Array  # of the joints, as `Chains.poses` has them
-    sigma_joint: float  # constant error of each joint [rad, for slides m]
+    joint_errors: Array  # (j, m) constant errors of the joints [rad, for slides m], each column one
 
     @cached_property
     def middle(self) -> Array:
@@ -99,9 +91,10 @@ class PlacedHand:
         return float(np.linalg.norm(self.skin[0] - self.middle, axis=1).max())
 
     def by_joints(self, rows: Indices) -> Array:
-        """Returns the derivative (k, 3, j) of the points `rows` (k,) in the palm by each joint [m/rad]."""
+        """Returns how far (k, 3, m) each of the joints' errors moves the points `rows` (k,) in the palm [m]."""
         bodies = self.appearance.skin[2][rows]
-        return self.appearance.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
+        chains = self.appearance.chains
+        return chains.jacobians(self.skin[0, rows], bodies, self.axes, self.joint_errors)[:, :3]
 
     def outline_continued(self, camera: Camera, depth: Depth, T_camera_palm: Array) -> float:
         """Returns the share of the pixels around the hand, drawn at a pose, in which the image is about as near as it.
@@ -110,39 +103,43 @@ class PlacedHand:
         something hides, or without depth, do not count; the share is 1 where none counts.
         """
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
-        stride, within = APPEARANCE.pixel_stride, APPEARANCE.continued_depth
         near = scipy.ndimage.minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
-        rows, columns = (stride * k + stride // 2 for k in np.nonzero(around))
+        rows, columns = (PIXEL_STRIDE * k + PIXEL_STRIDE // 2 for k in np.nonzero(around))
         inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
-        observed, hand = depth[rows[inside], columns[inside]], near[around][inside]
-        counts = (observed > 0) & (observed > hand - within)
-        return float((observed[counts] < hand[counts] + within).mean()) if counts.any() else 1.0
+        observed = depth[rows[inside], columns[inside]]
+        hand = near[around][inside]
+        counts = (observed > 0) & (observed > hand - CONTINUED_DEPTH)
+        return float((observed[counts] < hand[counts] + CONTINUED_DEPTH).mean()) if counts.any() else 1.0
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
         """Returns at most `most` points (k, 3) in the air, in the palm, off the hand's outline, as near as it [m]."""
-        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
-        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
-        off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)
+        small = _smaller(camera)
+        drawn = _drawn(self, camera, T_camera_palm.tobytes())
+        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE_BESIDE)
+        off = max(round(APPEARANCE_BESIDE * small.matrix[0, 0] / distance), 1)
         near, nearer = (scipy.ndimage.minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
         rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
         chosen = np.random.default_rng(0).permutation(len(rows))[:most]
-        rows, columns = rows[chosen], columns[chosen]
+        rows = rows[chosen]
+        columns = columns[chosen]
         z = near[rows, columns].astype(np.float64)
         points = np.c_[small.rays[rows, columns] * z[:, None], z]
         return se3.apply(se3.inverse(T_camera_palm), points)
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
         """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face it."""
-        small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
-        points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
+        small = _smaller(camera)
+        drawn = _drawn(self, camera, T_camera_palm.tobytes())
+        points = se3.apply(T_camera_palm, self.skin[0])
+        normals = self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
-        facing = -np.einsum("mi,mi->m", points, normals) > APPEARANCE.min_facing * way
+        facing = -np.einsum("mi,mi->m", points, normals) > MIN_FACING * way
         pixels = small.project(points)
         columns, rows = np.round(np.where(np.isfinite(pixels), pixels, -1)).astype(np.int64).T
         inside = (columns >= 0) & (rows >= 0) & (columns < small.size[0]) & (rows < small.size[1])
         front = drawn[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-        slack = APPEARANCE.max_depth + points[:, 2] / (2 * small.matrix[0, 0])
+        slack = MAX_DEPTH + points[:, 2] / (2 * small.matrix[0, 0])
         return np.asarray(facing & (~inside | (points[:, 2] < front + slack)))
 
 
@@ -163,7 +160,8 @@ def skin_points(hand: Hand, count: int) -> tuple[Array, Array, Indices]:
 @lru_cache(maxsize=8)
 def _smaller(camera: Camera) -> Camera:
     """Returns the camera with a quarter of the pixels to a side."""
-    K, stride = camera.matrix.copy(), APPEARANCE.pixel_stride
+    K = camera.matrix.copy()
+    stride = PIXEL_STRIDE
     K[:2] /= stride
     K[:2, 2] -= 0.5 - 0.5 / stride
     return Camera(K, (-(-camera.size[0] // stride), -(-camera.size[1] // stride)), camera.lens)

@@ -13,25 +13,30 @@ from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 
-AROUND, SLACK = 3, 0.012
+AROUND = 3
+SLACK = 0.012
 """Margins for joints that are off by a degree: around the drawn links [pixels], in front and behind [m]."""
 Joints = Mapping[str, float] | None
 
 
 class HandInImage:
-    """A `HandInImage` finds the hand of a rig by the shapes of its links; a hand without shapes is not found."""
+    """Finds the hand of a rig by the shapes of its links; a hand without shapes is not found."""
 
     def __init__(self, rig: Rig) -> None:
-        self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
+        self._shape = rig.hand.shape()
+        self._joint_errors = rig.joint_errors(self._shape.joints, rig.sigma_joint_offset)
         self._noise = STRUCTURED_LIGHT if rig.camera is None else PRESETS[rig.camera.depth_camera]
         self._appearance = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
 
+    def knows(self, joint_positions: Joints) -> bool:
+        """Returns whether the hand has shapes, and these are the positions of all its joints."""
+        return self._appearance is not None and (joint_positions or {}).keys() >= set(self._shape.joints)
+
     def placed(self, joint_positions: Joints) -> PlacedHand | None:
         """Returns the hand with its joints there; None without shapes, or where a joint is missing."""
-        joints = joint_positions or {}
-        if self._appearance is None or not joints.keys() >= set(self._shape.joints):
+        if self._appearance is None or not self.knows(joint_positions):
             return None
-        return self._appearance.placed(joints, sigma_joint=self._sigma_joint)
+        return self._appearance.placed(joint_positions or {}, sigma_joint=self._joint_errors)
 
     def detected(
         self,
@@ -56,10 +61,10 @@ class HandInImage:
         self, camera: Camera, depth: Depth, joint_positions: Joints, T_camera_palm: Array
     ) -> Mask | None:
         """Returns (h, w) whether a pixel is the hand's; None where `placed` is."""
-        joints = joint_positions or {}
-        if self._appearance is None or not joints.keys() >= set(self._shape.joints):
+        if not self.knows(joint_positions):
             return None
-        return hand_mask(camera, depth, self._shape.vertices_palm(joints), self._shape.faces, T_camera_palm)
+        vertices = self._shape.vertices_palm(joint_positions or {})
+        return hand_mask(camera, depth, vertices, self._shape.faces, T_camera_palm)
 
 
 def hand_mask(
@@ -81,7 +86,8 @@ def hand_mask(
     if not len(rows):
         return mask
     box = tuple(slice(max(r.min() - AROUND, 0), r.max() + AROUND + 1) for r in (rows, columns))
-    size, near = 2 * AROUND + 1, drawn[box]
+    size = 2 * AROUND + 1
+    near = drawn[box]
     far = np.where(np.isfinite(near), near, -np.inf)
     nearest = scipy.ndimage.minimum_filter(near, size=size, mode="constant", cval=np.inf)
     farthest = scipy.ndimage.maximum_filter(far, size=size, mode="constant", cval=-np.inf)

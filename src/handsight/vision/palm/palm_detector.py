@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_covariance, hand_term, palm_scan
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.camera import Camera, Depth
@@ -24,32 +23,25 @@ from handsight.vision.candidates import Candidates, candidates_at, depth_errors,
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
 
-
-class PalmSearchOptions(NamedTuple):
-    """`PalmSearchOptions` say how poses of the palm are searched."""
-
-    cell: float = 0.005  # side of the cells in which the image is sampled, at the hand [m]
-    max_cells: int = 160  # to a side
-    shift: float = 0.025  # between poses that are tried, across the direction to the camera [m]
-    layer: float = 0.10  # and along it [m]
-    rotation: float = float(np.deg2rad(12))  # and between their rotations [rad]
-    max_sigmas: float = 2.6  # of the predicted pose, within which poses are tried
-    prior_weight: float = 0.01
-    """What a squared sigma off the predicted pose takes from a pose's score, the share of points that agree."""
-    bin: float = 0.010  # of distances that are told apart [m]
-    scanned: int = 80  # points of the hand that are compared with the image
-    best: int = 300  # of all poses that are tried, those of which the distinct ones are taken
-    refined: int = 48  # distinct poses whose neighbours are tried
-    best_around: int = 30  # of the neighbours of each
-    kept: int = 40  # distinct poses that go on
-    compared: int = 8  # points of the hand by which poses are told apart
-
-
-PALM_SEARCH = PalmSearchOptions()
+SEARCH_CELL = 0.005  # side of the cells in which the image is sampled, at the hand [m]
+MAX_CELLS = 160  # to a side
+SEARCH_SHIFT = 0.025  # between poses that are tried, across the direction to the camera [m]
+SEARCH_LAYER = 0.10  # and along it [m]
+SEARCH_ROTATION = float(np.deg2rad(12))  # and between their rotations [rad]
+MAX_SIGMAS = 2.6  # of the predicted pose, within which poses are tried
+PRIOR_WEIGHT = 0.01
+"""What a squared sigma off the predicted pose takes from a pose's score, the share of points that agree."""
+SEARCH_BIN = 0.010  # of distances that are told apart [m]
+SEARCH_SCANNED = 80  # points of the hand that are compared with the image
+SEARCH_BEST = 300  # of all poses that are tried, those of which the distinct ones are taken
+SEARCH_REFINED = 48  # distinct poses whose neighbours are tried
+BEST_AROUND = 30  # of the neighbours of each
+SEARCH_KEPT = 40  # distinct poses that go on
+SEARCH_COMPARED = 8  # points of the hand by which poses are told apart
 
 
 class AlignStage(NamedTuple):
-    """An `AlignStage` moves candidates to where points of the hand lie on the image, and scores them by these."""
+    """Moves candidates to where points of the hand lie on the image, and scores them by these."""
 
     first_bound: float  # Tukey's, of the first step [m]
     last_bound: float  # and of the last [m]
@@ -60,42 +52,38 @@ class AlignStage(NamedTuple):
     spacing: float = 0.0  # between these [m]
 
 
-class DetectorOptions(NamedTuple):
-    """`DetectorOptions` say when a palm is detected."""
+DETECTOR_MAX_SIGMAS = 4.0  # of the predicted pose, beyond which no answer is taken
+SEARCH_FACTOR = 2.5  # times that, beyond which no candidate goes on
+MIN_FIT_FOLLOWED = 0.65
+"""Of a hand that is followed: the least share explained of what is neither hidden nor out of the image."""
+MAX_PASSED = 0.15  # and the largest share that the camera sees past
+NEAR_BEST = 0.6  # share of the best score from which candidates are compared with all points
+MIN_SCORE = 2.0  # of an answer
+MIN_PIXELS = 400.0  # that the hand explains
+MIN_FIT = 0.25  # and their share of those that it should fill
+CONTINUED_WEIGHT = 0.3
+"""Cost of a surface that continues beside the hand's entire outline, by the pixels that the hand should fill."""
+MAX_CONTINUED = 0.55  # share of the outline above which the hand was found in a table or a wall
+CANDIDATE_SPACING = 0.025  # poses farther than this from each other are different [m]
+AS_GOOD = 0.85  # another pose with so much of the best score makes the answer ambiguous
+# A wide bound lets an object in the hand pull the hand away.
+DETECTOR_STAGES = (
+    AlignStage(0.02, 0.010, 7, 0.015, points=300, kept=12, spacing=0.010),
+    AlignStage(0.012, 0.008, 6, 0.010, points=500, kept=5, spacing=0.008),
+)
+LAST_STAGE = AlignStage(0.015, 0.006, 8, 0.010)
+FOLLOWED_STAGE = AlignStage(0.02, 0.006, 10, 0.010)
+FOLLOWED_SIGMAS = (0.010, float(np.deg2rad(3.0)))
+"""Sigmas of the predicted pose of a hand that is followed [m, rad]."""
 
-    max_sigmas: float = 4.0  # of the predicted pose, beyond which no answer is taken
-    search_factor: float = 2.5  # times that, beyond which no candidate goes on
-    min_fit_followed: float = 0.65
-    """Of a hand that is followed: the least share explained of what is neither hidden nor out of the image."""
-    max_passed: float = 0.15  # and the largest share that the camera sees past
-    near_best: float = 0.6  # share of the best score from which candidates are compared with all points
-    min_score: float = 2.0  # of an answer
-    min_pixels: float = 400.0  # that the hand explains
-    min_fit: float = 0.25  # and their share of those that it should fill
-    continued_weight: float = 0.3
-    """Cost of a surface that continues beside the hand's entire outline, by the pixels that the hand should fill."""
-    max_continued: float = 0.55  # share of the outline above which the hand was found in a table or a wall
-    candidate_spacing: float = 0.025  # poses farther than this from each other are different [m]
-    as_good: float = 0.85  # another pose with so much of the best score makes the answer ambiguous
-    # A wide bound lets an object in the hand pull the hand away.
-    stages: tuple[AlignStage, ...] = (
-        AlignStage(0.02, 0.010, 7, 0.015, points=300, kept=12, spacing=0.010),
-        AlignStage(0.012, 0.008, 6, 0.010, points=500, kept=5, spacing=0.008),
-    )
-    last_stage: AlignStage = AlignStage(0.015, 0.006, 8, 0.010)
-    followed_stage: AlignStage = AlignStage(0.02, 0.006, 10, 0.010)
-    followed_sigmas: tuple[float, float] = (0.010, float(np.deg2rad(3.0)))
-    """Sigmas of the predicted pose of a hand that is followed [m, rad]."""
-
-
-DETECTOR = DetectorOptions()
+COMPARED = 150  # points whose errors are compared with each other's for the covariance
 
 Reason = Literal["outside", "hardly_seen", "no_fit", "ambiguous"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PalmNotFound:
-    """A `PalmNotFound` says why an image gives no pose of the palm; it is falsy."""
+    """Why an image gives no pose of the palm; it is falsy."""
 
     reason: Reason
     """outside: out of the image, at any pose within the uncertainty; hardly_seen: too few pixels are the hand's, most
@@ -105,16 +93,14 @@ class PalmNotFound:
         return False
 
 
-@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class PalmDetection:
-    """A `PalmDetection` is the pose of the palm in one depth image."""
+    """The pose of the palm in one depth image."""
 
     T_camera_palm: Array  # (4, 4)
     covariance: Array  # (6, 6) of (δp [m], δθ [rad]) along the camera's axes
     fit: float
     """Of the pixels that the hand should fill, the share that it explains; hidden ones are not explained."""
-    candidate: NDArray[np.void]  # (1,) CANDIDATE: what the image says of it, in pixels
 
 
 def detect_palm(
@@ -132,25 +118,26 @@ def detect_palm(
     T_camera_palm: as predicted, with sigmas `sigma_position` [m] of the hand's middle and `sigma_rotation` [rad] per
     axis; the time of the search grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
     """
-    T = se3.check(T_camera_palm, "T_camera_palm")
-    camera.check_size(depth, "depth")
-    sigma = checks.positive(sigma_position, "sigma_position")
-    sigmas = sigma, checks.positive(sigma_rotation, "sigma_rotation")
-    picture = picture_of(camera, depth, hand, T, sigmas)
+    sigmas = (
+        checks.positive(sigma_position, "sigma_position"),
+        checks.positive(sigma_rotation, "sigma_rotation"),
+    )
+    picture = picture_of(camera, depth, hand, T_camera_palm, sigmas)
     if picture is None:
         return PalmNotFound("outside")
-    visible = hand.visible_from(camera, T)
-    candidates, rows = searched(picture, visible), np.flatnonzero(visible)
+    visible = hand.visible_from(camera, picture.T)
+    candidates = searched(picture, visible)
     if not len(candidates):
         return PalmNotFound("outside")
-    for stage in DETECTOR.stages:
+    rows = np.flatnonzero(visible)
+    for stage in DETECTOR_STAGES:
         _align(picture, rows, stage, candidates)
-        candidates = _believed(picture, candidates, DETECTOR.search_factor * DETECTOR.max_sigmas)
+        candidates = _believed(picture, candidates, SEARCH_FACTOR * DETECTOR_MAX_SIGMAS)
         candidates = distinct(hand, candidates, stage.spacing, stage.kept)
-    candidates = candidates[candidates["score"] > DETECTOR.near_best * candidates["score"].max(initial=0.0)]
-    finished = [_finished(picture, candidates[[k]], DETECTOR.last_stage) for k in range(len(candidates))]
+    candidates = candidates[candidates["score"] > NEAR_BEST * candidates["score"].max(initial=0.0)]
+    finished = [_finished(picture, candidates[[k]], LAST_STAGE) for k in range(len(candidates))]
     candidates = np.concatenate([candidates[:0], *finished])
-    return _answer(picture, _believed(picture, candidates, DETECTOR.max_sigmas), noise)
+    return _answer(picture, _believed(picture, candidates, DETECTOR_MAX_SIGMAS), noise)
 
 
 def follow_palm(
@@ -165,24 +152,21 @@ def follow_palm(
 
     T_camera_palm: off by about 10 mm and 3° per axis. The answer is `no_fit` where too little of the hand is there.
     """
-    T, sigmas = se3.check(T_camera_palm, "T_camera_palm"), DETECTOR.followed_sigmas
-    camera.check_size(depth, "depth")
-    picture = picture_of(camera, depth, hand, T, sigmas)
+    picture = picture_of(camera, depth, hand, T_camera_palm, FOLLOWED_SIGMAS)
     if picture is None:
         return PalmNotFound("outside")
-    candidate = _finished(picture, candidates_at(T[None]), DETECTOR.followed_stage)
-    candidate = _believed(picture, candidate, DETECTOR.max_sigmas)
-    if len(candidate):
-        free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
-        fits = candidate["explained"] > DETECTOR.min_fit_followed * free
-        if not (fits & (candidate["passed"] < DETECTOR.max_passed * free)).all():
-            return PalmNotFound("no_fit")
+    candidate = _finished(picture, candidates_at(picture.T[None]), FOLLOWED_STAGE)
+    candidate = _believed(picture, candidate, DETECTOR_MAX_SIGMAS)
+    free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
+    fits = (candidate["explained"] > MIN_FIT_FOLLOWED * free) & (candidate["passed"] < MAX_PASSED * free)
+    if not fits.all():
+        return PalmNotFound("no_fit")
     return _answer(picture, candidate, noise)
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A `Picture` is a depth image in which a hand may be, as the kernels take it, sampled in cells around there."""
+    """A depth image in which a hand may be, as the kernels take it, sampled in cells around there."""
 
     hand: PlacedHand
     T: Array  # (4, 4) camera from palm, as predicted
@@ -205,14 +189,19 @@ class Picture:
 def picture_of(
     camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigmas: tuple[float, float]
 ) -> Picture | None:
-    """Returns the image; None where a hand at T (4, 4), off by `sigmas` per axis [m, rad], cannot be in it."""
-    middle, reach = se3.apply(T, hand.middle[None])[0], PALM_SEARCH.max_sigmas * sigmas[0] + hand.radius
+    """Returns the image; None where a hand at T (4, 4), off by `sigmas` per axis [m, rad], cannot be in it. Raises
+    InvalidInput."""
+    T = se3.check(T, "T_camera_palm")
+    camera.check_size(depth, "depth")
+    middle = se3.apply(T, hand.middle[None])[0]
+    reach = MAX_SIGMAS * sigmas[0] + hand.radius
     if not middle[2] > -reach:
         return None
     known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-    far, nearest = max(middle[2], 0.1), max(middle[2] - reach, 0.1)
+    far = max(middle[2], 0.1)
+    nearest = max(middle[2] - reach, 0.1)
     half = reach / max(nearest, 0.5 * far)
-    count = min(int(2 * half / (PALM_SEARCH.cell / far)) + 1, PALM_SEARCH.max_cells)
+    count = min(int(2 * half / (SEARCH_CELL / far)) + 1, MAX_CELLS)
     corner = np.array([middle[0] / far - half, middle[1] / far - half, 2 * half / count])
     cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
     palm_scan.cells_of(camera.record, camera.rays, known, corner, cells)
@@ -222,18 +211,19 @@ def picture_of(
 def searched(picture: Picture, visible: Mask) -> Candidates:
     """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the sigmas, and around
     them. visible (m,): which points of the hand the camera sees at the predicted pose."""
-    hand, rows, options = picture.hand, np.flatnonzero(visible), PALM_SEARCH
-    air = hand.beside(picture.camera, picture.T, options.scanned)
-    points = _about_middle(hand, rows[: options.scanned], air[: options.scanned // 2])
-    turns = _turns(options.max_sigmas * picture.sigmas[1], options.rotation)
-    shifts = _shifts(options.max_sigmas * picture.sigmas[0])
-    candidates = _best(picture, picture.T, points, options.bin, turns, shifts, options.best)
-    candidates = distinct(hand, candidates, options.shift, options.refined)
-    points = _about_middle(hand, rows[: 2 * options.scanned], air)
-    turns = _turns(options.rotation / 2, options.rotation / 2)
-    finer = points, options.bin / 2, turns, np.zeros((1, 3)), options.best_around
+    hand = picture.hand
+    rows = np.flatnonzero(visible)
+    air = hand.beside(picture.camera, picture.T, SEARCH_SCANNED)
+    points = _about_middle(hand, rows[:SEARCH_SCANNED], air[: SEARCH_SCANNED // 2])
+    turns = _turns(MAX_SIGMAS * picture.sigmas[1], SEARCH_ROTATION)
+    shifts = _shifts(MAX_SIGMAS * picture.sigmas[0])
+    candidates = _best(picture, picture.T, points, SEARCH_BIN, turns, shifts, SEARCH_BEST)
+    candidates = distinct(hand, candidates, SEARCH_SHIFT, SEARCH_REFINED)
+    points = _about_middle(hand, rows[: 2 * SEARCH_SCANNED], air)
+    turns = _turns(SEARCH_ROTATION / 2, SEARCH_ROTATION / 2)
+    finer = points, SEARCH_BIN / 2, turns, np.zeros((1, 3)), BEST_AROUND
     around = [_best(picture, T, *finer) for T in poses_of(candidates)]
-    return distinct(hand, np.concatenate([candidates[:0], *around]), options.shift / 2, options.kept)
+    return distinct(hand, np.concatenate([candidates[:0], *around]), SEARCH_SHIFT / 2, SEARCH_KEPT)
 
 
 def _about_middle(hand: PlacedHand, rows: Indices, air: Array) -> Array:
@@ -251,19 +241,21 @@ def _best(
     For each of them one distance from the camera is taken, the one at which most points agree with the image, of those
     that are `bin_width` [m] apart.
     """
-    rotations, middles = turns @ T[:3, :3], se3.apply(T, picture.hand.middle[None])[0] + shifts
+    rotations = turns @ T[:3, :3]
+    middles = se3.apply(T, picture.hand.middle[None])[0] + shifts
     found = np.empty((len(rotations), len(middles), 2))
     palm_scan.scan(picture.cells, picture.corner, bin_width, points, middles, rotations, found)
     places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
     off, turned = picture.differences(places, rotations[:, None])
     chi2 = (off**2).sum(axis=-1) / picture.sigmas[0] ** 2
     chi2 += (turned**2).sum(axis=-1) / picture.sigmas[1] ** 2
-    scores = (found[..., 0] - PALM_SEARCH.prior_weight * chi2).reshape(-1)
+    scores = (found[..., 0] - PRIOR_WEIGHT * chi2).reshape(-1)
     best = np.argpartition(-scores, min(most, len(scores) - 1))[:most]
     best = best[np.isfinite(scores[best])]
     r, s = np.divmod(best, len(middles))
     candidates = np.zeros(len(best), dtype=CANDIDATE)
-    candidates["score"], candidates["pose"]["rotation"] = scores[best], rotations[r]
+    candidates["score"] = scores[best]
+    candidates["pose"]["rotation"] = rotations[r]
     candidates["pose"]["position"] = places[r, s] - rotations[r] @ picture.hand.middle
     return candidates
 
@@ -280,9 +272,10 @@ def _turns(reach: float, step: float) -> Array:
 
 def _shifts(reach: float) -> Array:
     """Returns shifts (s, 3) up to `reach` [m], close together across the direction to the camera, layers along it."""
-    steps = np.array([PALM_SEARCH.shift, PALM_SEARCH.shift, PALM_SEARCH.layer])
+    steps = np.array([SEARCH_SHIFT, SEARCH_SHIFT, SEARCH_LAYER])
     count, _, layers = np.maximum(np.ceil(reach / steps - 0.5).astype(int), 0).tolist()
-    across, along = steps[0] * np.arange(-count, count + 1), steps[2] * np.arange(-layers, layers + 1)
+    across = steps[0] * np.arange(-count, count + 1)
+    along = steps[2] * np.arange(-layers, layers + 1)
     shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
     # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
     nearest = np.maximum(np.abs(shifts) - steps / 2, 0.0)
@@ -293,21 +286,24 @@ def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int
     """Returns the best candidates, the best first, each at least `spacing` from all better ones. Their distance is the
     root mean square of that of a few points of the hand [m]."""
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
-    points = hand.skin[0, : PALM_SEARCH.compared]
+    points = hand.skin[0, :SEARCH_COMPARED]
     places = se3.apply(poses_of(candidates), points).reshape(len(candidates), points.size)
-    taken, kept = np.zeros(len(candidates), dtype=bool), list[int]()
-    for k in range(len(candidates)):
-        if not taken[k] and len(kept) < most:
-            kept.append(k)
-            away = places - places[k]
-            taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
+    free = np.ones(len(candidates), dtype=bool)
+    kept = list[int]()
+    while free.any() and len(kept) < most:
+        kept.append(int(free.argmax()))
+        away = places - places[kept[-1]]
+        free &= ~(np.einsum("ki,ki->k", away, away) < SEARCH_COMPARED * spacing**2)
+        free[kept[-1]] = False
     return candidates[kept]
 
 
 def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candidates) -> None:
     """Moves candidates to where the first of the visible points `rows` lie on the image, and scores them by these."""
-    few, hand = rows[: stage.points], picture.hand
-    skin, camera = np.ascontiguousarray(hand.skin[:, few]), picture.camera.record
+    few = rows[: stage.points]
+    hand = picture.hand
+    skin = np.ascontiguousarray(hand.skin[:, few])
+    camera = picture.camera.record
     stages = np.array([(0, stage.first_bound, stage.last_bound, stage.steps, 1)], dtype=STAGE)
     hand_term.refine_hand(camera, picture.arrays, skin, hand.middle, hand.radius, stages, candidates)
     area = hand.appearance.point_area * len(rows) / max(len(few), 1)
@@ -317,12 +313,13 @@ def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candi
 def _finished(picture: Picture, candidate: Candidates, stage: AlignStage) -> Candidates:
     """Returns CANDIDATE (1,) aligned by all visible points; a surface that goes on beside the hand lowers its score."""
     rows = np.flatnonzero(picture.hand.visible_from(picture.camera, poses_of(candidate)[0]))
-    candidate, score = candidate.copy(), hand_term.HAND_SCORE
+    candidate = candidate.copy()
+    score = hand_term.HAND_SCORE
     _align(picture, rows, stage, candidate)
     expected = candidate["expected"]
     continued = picture.hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0])
     size = np.maximum(expected, score.min_expected) ** score.size_exponent
-    candidate["score"] -= DETECTOR.continued_weight * continued * expected / size
+    candidate["score"] -= CONTINUED_WEIGHT * continued * expected / size
     return candidate
 
 
@@ -337,48 +334,53 @@ def _believed(picture: Picture, candidates: Candidates, sigmas: float) -> Candid
 
 def _answer(picture: Picture, candidates: Candidates, noise: DepthNoise) -> PalmDetection | PalmNotFound:
     """Returns the best candidate, where it is good enough and no other is nearly as good."""
-    if not len(candidates) or not candidates["score"][0] > DETECTOR.min_score:
+    if not len(candidates) or not candidates["score"][0] > MIN_SCORE:
         return PalmNotFound("no_fit")
-    best, fits = candidates[:1].copy(), candidates["explained"] / np.maximum(candidates["expected"], 1.0)
-    if best["explained"][0] < DETECTOR.min_pixels or fits[0] < DETECTOR.min_fit:
+    best = candidates[:1].copy()
+    fits = candidates["explained"] / np.maximum(candidates["expected"], 1.0)
+    if best["explained"][0] < MIN_PIXELS or fits[0] < MIN_FIT:
         return PalmNotFound("hardly_seen")
-    others = distinct(picture.hand, candidates, DETECTOR.candidate_spacing, 2)[1:]
-    if len(others) and others["score"][0] > DETECTOR.as_good * best["score"][0]:
+    others = distinct(picture.hand, candidates, CANDIDATE_SPACING, 2)[1:]
+    if len(others) and others["score"][0] > AS_GOOD * best["score"][0]:
         return PalmNotFound("ambiguous")
     T = poses_of(best)[0]
-    if picture.hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
+    if picture.hand.outline_continued(picture.camera, picture.depth, T) > MAX_CONTINUED:
         return PalmNotFound("no_fit")
-    rows = np.flatnonzero(picture.hand.visible_from(picture.camera, T))
-    covariance = _covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
-    return PalmDetection(T, covariance, float(fits[0]), best)
+    return PalmDetection(T, _covariance(picture, best, noise), float(fits[0]))
 
 
-def _covariance(
-    picture: Picture, candidate: Candidates, rows: Indices, bound: float, noise: DepthNoise
-) -> Array:
+def _covariance(picture: Picture, candidate: Candidates, noise: DepthNoise) -> Array:
     """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
-    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole pixels
-    are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is off.
+    The errors of points are those of `noise`. Those of whole pixels are added, and those of constant errors of the
+    joints, to first order: a weighted fit follows a joint that is off.
     """
-    T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
-    skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
+    T = poses_of(candidate)[0]
+    hand = picture.hand
+    camera = picture.camera
+    rows = np.flatnonzero(hand.visible_from(camera, T))
+    skin = np.ascontiguousarray(hand.skin[:, rows])
+    fitted = np.empty((len(rows), 8))
+    bound = LAST_STAGE.last_bound
     hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, fitted)
     used = fitted[:, 0] > 0
-    weights, normals = fitted[used, 0], np.ascontiguousarray(fitted[used, 2:5])
-    points, center = se3.apply(T, skin[0, used]), se3.apply(T, hand.middle[None])[0]
+    weights = fitted[used, 0]
+    normals = np.ascontiguousarray(fitted[used, 2:5])
+    points = se3.apply(T, skin[0, used])
+    center = se3.apply(T, hand.middle[None])[0]
     z = np.maximum(center[2:], 1e-3)
     # Along a direction that no point observes: half the hand's size, and 1.8 rad.
     errors = depth_errors(camera, noise, z, (hand.radius, 1.8 * hand.radius))
-    informed, covariance = np.empty((2, 6, 6)), np.empty((6, 6))
-    depth_covariance.inform_points(weights, points, normals, center, hand.radius, errors, compared, informed)
+    informed = np.empty((2, 6, 6))
+    covariance = np.empty((6, 6))
+    depth_covariance.inform_points(weights, points, normals, center, hand.radius, errors, COMPARED, informed)
     depth_covariance.covariance_of(informed, errors, covariance)
-    if hand.sigma_joint > 0:
+    if hand.joint_errors.any():
         lines = np.hstack([normals, np.cross(points - center, normals) / hand.radius])
         by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows[used]))
         information = informed[0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
         follows = np.linalg.solve(information, np.einsum("m,mi,mk->ik", weights, lines, by_joints))
-        covariance = covariance + hand.sigma_joint**2 * follows @ follows.T
+        covariance = covariance + follows @ follows.T
     scale = np.repeat([1.0, hand.radius], 3)
     covariance = GaussianPose(T, covariance / np.outer(scale, scale)).at_point(-hand.middle).covariance
     return np.asarray((covariance + covariance.T) / 2)

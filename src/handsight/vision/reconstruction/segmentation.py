@@ -1,86 +1,83 @@
 """Where in a depth image an object without a model is: an object that stands on a table, or that a hand holds."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are used
+from numpy.typing import ArrayLike
 
 from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.hand import Hand
 from handsight.hand.chains import transform_points
-from handsight.vision.object.region import REGION, scene_of, table_plane
+from handsight.vision.object.region import MAX_RANGE, TABLE_WITHIN, scene_of, table_plane
 from handsight.vision.palm.hand_appearance import skin_points
 
+MIN_TABLE = 0.15  # a plane wider than this is a table [m]
+MIN_PIXELS = 200  # of an object in its first view
+SEGMENTATION_MARGIN = 0.03  # of the bounds around what the first view shows [m]
+SEGMENTATION_BELOW = 0.02  # how far the bounds reach below a table [m]
+MAX_EXTENT = 0.3  # no object is larger [m]
+SKIN_POINTS = 12_000  # of a hand, on its palm some four millimetres apart
+HAND_MARGIN = 0.005  # points nearer to the hand than this may be the hand's [m]
+JOINT_SIGMAS = 3.0  # and so may points as near as the errors of its joints, in standard deviations
+SEGMENTATION_NEIGHBOURS = 8  # of the hand's points that are compared
 
-class SegmentationOptions(NamedTuple):
-    """`SegmentationOptions` say which part of an image is the object."""
-
-    min_table: float = 0.15  # a plane wider than this is a table [m]
-    min_pixels: int = 200  # of an object in its first view
-    margin: float = 0.03  # of the bounds around what the first view shows [m]
-    below: float = 0.02  # how far the bounds reach below a table [m]
-    max_extent: float = 0.3  # no object is larger [m]
-    skin_points: int = 12_000  # of a hand, on its palm some four millimetres apart
-    hand_margin: float = 0.005  # points nearer to the hand than this may be the hand's [m]
-    joint_sigmas: float = 3.0  # and so may points as near as the errors of its joints, in standard deviations
-    neighbours: int = 8  # of the hand's points that are compared
-
-
-SEGMENTATION = SegmentationOptions()
-
-IN_HAND_BOUNDS = SEGMENTATION.max_extent / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
+IN_HAND_BOUNDS = MAX_EXTENT / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
 """Bounds of an object in the hand, about the middle of the fingertips [m]."""
 
 
 def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     """Returns T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle. Its
     frame has z up from the table, and the origin on it. None where there is no table, or nothing on it."""
-    plane = table_plane(camera, depth, np.ones(depth.shape, dtype=bool), extent=SEGMENTATION.min_table)
+    plane = table_plane(camera, depth, np.ones(depth.shape, dtype=bool), extent=MIN_TABLE)
     if plane is None:
         return None
     scene = scene_of(camera, depth, table=plane)
     rows, columns = np.nonzero(scene.labels >= 0)
-    big = scene.sizes[scene.labels[rows, columns]] >= SEGMENTATION.min_pixels
-    rows, columns = rows[big], columns[big]
+    big = scene.sizes[scene.labels[rows, columns]] >= MIN_PIXELS
+    rows = rows[big]
+    columns = columns[big]
     if not len(rows):
         return None
     off = np.hypot(rows - depth.shape[0] / 2, columns - depth.shape[1] / 2)
     part = scene.labels[rows[off.argmin()], columns[off.argmin()]]
     points = camera.points(depth)[scene.labels == part].astype(np.float64)
-    z, middle = plane[:3], (points.min(axis=0) + points.max(axis=0)) / 2
+    z = plane[:3]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
     x = np.cross(z, [0.0, 0, 1]) if abs(z[2]) < 0.9 else np.cross(z, [0.0, 1, 0])
     x /= np.linalg.norm(x)
     T = se3.compose(np.column_stack([x, np.cross(z, x), z]), middle - (z @ middle + plane[3]) * z)
     there = se3.apply(se3.inverse(T), points)
     # Behind the visible part there is as much again.
     reach = float(np.linalg.norm(there[:, :2], axis=1).max())
-    side = min(1.5 * reach + SEGMENTATION.margin, SEGMENTATION.max_extent / 2)
-    top = min(float(there[:, 2].max()) + SEGMENTATION.margin, SEGMENTATION.max_extent)
-    return T, np.array([[-side, -side, -SEGMENTATION.below], [side, side, top]])
+    side = min(1.5 * reach + SEGMENTATION_MARGIN, MAX_EXTENT / 2)
+    top = min(float(there[:, 2].max()) + SEGMENTATION_MARGIN, MAX_EXTENT)
+    return T, np.array([[-side, -side, -SEGMENTATION_BELOW], [side, side, top]])
 
 
 def without_table(camera: Camera, depth: Depth) -> Depth:
     """Returns a depth image (h, w) [m] in which what lies on or behind its widest plane is far away. What a hand holds
     is in front of it. Planes that are no wider than an object may be its own."""
-    plane = table_plane(camera, depth, depth > 0, extent=SEGMENTATION.max_extent)
+    plane = table_plane(camera, depth, depth > 0, extent=MAX_EXTENT)
     if plane is None:
         return depth
     points = camera.points(depth)
     with np.errstate(invalid="ignore"):
-        behind = points @ plane[:3] + plane[3] < REGION.table_within * np.maximum(points[..., 2] ** 2, 1)
-    return np.where(behind, np.float32(REGION.max_range), depth).astype(np.float32)
+        behind = points @ plane[:3] + plane[3] < TABLE_WITHIN * np.maximum(points[..., 2] ** 2, 1)
+    return np.where(behind, np.float32(MAX_RANGE), depth).astype(np.float32)
 
 
 class InHandView:
-    """An `InHandView` takes the hand out of depth images of it and the object that it holds."""
+    """Takes the hand out of depth images of it and the object that it holds."""
 
-    def __init__(self, hand: Hand, sigma_joint: float) -> None:
-        """`sigma_joint`: constant error of a joint [rad, slides: m]. Raises InvalidInput for a hand without shapes."""
-        self._chains, self._sigma_joint = hand.shape().chains, sigma_joint
-        self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
+    def __init__(self, hand: Hand, sigma_joint: ArrayLike) -> None:
+        """`sigma_joint`: constant error of a joint [rad, slides: m], or errors (j, m) as `Rig.joint_errors` has them.
+        Raises InvalidInput for a hand without shapes."""
+        self._chains = hand.shape().chains
+        self._joint_errors = self._chains.errors(sigma_joint)
+        self._points, _, self._bodies = skin_points(hand, SKIN_POINTS)
         self.joints = {*self._chains.joints, *hand.joint_names}
         """The joints whose positions it needs."""
 
@@ -91,13 +88,14 @@ class InHandView:
         of the object that the hand touches are among them: a piece of a finger in a model is worse than a hole."""
         Ts, axes = self._chains.poses(joint_positions)
         skin = transform_points(self._points, self._bodies, Ts)
-        moves = np.linalg.norm(self._chains.jacobians(skin, self._bodies, axes)[:, :3], axis=(1, 2))
-        slack = SEGMENTATION.hand_margin + SEGMENTATION.joint_sigmas * self._sigma_joint * moves
+        by_error = self._chains.jacobians(skin, self._bodies, axes, self._joint_errors)[:, :3]
+        slack = HAND_MARGIN + JOINT_SIGMAS * np.linalg.norm(by_error, axis=(1, 2))
         points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth).reshape(-1, 3).astype(np.float64))
-        low, high = skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()
+        low = skin.min(axis=0) - slack.max()
+        high = skin.max(axis=0) + slack.max()
         with np.errstate(invalid="ignore"):
             around = np.flatnonzero((depth.reshape(-1) > 0) & ((points > low) & (points < high)).all(axis=1))
-        gap, which = scipy.spatial.cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
+        gap, which = scipy.spatial.cKDTree(skin).query(points[around], k=SEGMENTATION_NEIGHBOURS)
         alone = depth.copy()
         alone.reshape(-1)[around[(gap < slack[which]).any(axis=1)]] = 0
         return alone

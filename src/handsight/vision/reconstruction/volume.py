@@ -3,9 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import affine_transform
 
-from handsight import se3
 from handsight._kernels.image import volume as kernel
 from handsight._kernels.image.vision_records import VOXEL
 from handsight.camera import Camera, Depth
@@ -17,14 +15,14 @@ MIN_VIEWS = 2  # views that must agree on a node: one alone may be noise
 
 
 class SurfacePoints(NamedTuple):
-    """`SurfacePoints` are points of a surface, about a cell apart."""
+    """Points of a surface, about a cell apart."""
 
     points: Array  # (n, 3) [m]
     normals: Array  # (n, 3) unit, outward
 
 
 class Volume:
-    """A `Volume` has distances to a surface on a grid in the object's frame, as far as depth images give them."""
+    """Distances to a surface on a grid in the object's frame, as far as depth images give them."""
 
     def __init__(self, bounds_object: Array, cell: float) -> None:
         """`bounds_object` (2, 3): its least and largest coordinates [m]; `cell`: side of a cell [m]."""
@@ -45,19 +43,11 @@ class Volume:
 
     def fuse(self, camera: Camera, depth: Depth, T_camera_object: Array) -> None:
         """Adds a depth image (h, w) [m], 0 where it has no depth."""
-        R, p = T_camera_object[:3, :3], T_camera_object[:3, 3]
+        R = T_camera_object[:3, :3]
+        p = T_camera_object[:3, 3]
         to_camera = np.column_stack([R * self.grid.cell, R @ self.grid.origin + p])
         kernel.fuse(camera.record, depth, to_camera, self.bound, self.voxels)
         self.views += 1
-
-    def add(self, other: "Volume", T_other_self: Array) -> None:
-        """Adds what another volume has fused, given the transform (4, 4) of the objects' frames, between its nodes."""
-        to_other = T_other_self[:3, :3] * (self.grid.cell / other.grid.cell)
-        first = (se3.apply(T_other_self, self.grid.origin[None])[0] - other.grid.origin) / other.grid.cell
-        for name, order in (("sum", 1), ("weight", 1), ("views", 0), ("passed", 0)):
-            values = np.ascontiguousarray(other.voxels[name])
-            self.voxels[name] += affine_transform(values, to_other, first, self.grid.shape, order=order)
-        self.views += other.views
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
         """Returns (nx, ny, nz) whether so many views had the surface near a node, and no more of them saw past it."""
@@ -76,7 +66,10 @@ class Volume:
 
     def surface(self) -> SurfacePoints:
         """Returns the surface: where distances change their sign between neighbours."""
-        f, slopes, points, normals = self.distances(), [], [], []
+        f = self.distances()
+        slopes = []
+        points = []
+        normals = []
         for axis, n in enumerate(f.shape):
             # The mean change to the known neighbours, 0 where there is none: a surface seen aslant is a few nodes
             # thick, and often has a neighbour on one side only.
@@ -88,7 +81,8 @@ class Volume:
         with np.errstate(invalid="ignore"):
             for axis, n in enumerate(f.shape):
                 at = np.argwhere(f.take(range(n - 1), axis) * f.take(range(1, n), axis) < 0)
-                here, next_ = tuple(at.T), tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
+                here = tuple(at.T)
+                next_ = tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
                 share = (f[here] / (f[here] - f[next_]))[:, None]
                 way = (1 - share) * slope[here] + share * slope[next_]
                 length = np.linalg.norm(way, axis=1)
@@ -116,7 +110,8 @@ class Volume:
 
     def clear(self) -> Mask:
         """Returns (nx, ny, nz) whether a node is free space: more views saw past it than had a surface near."""
-        views, passed = self.voxels["views"], self.voxels["passed"]
+        views = self.voxels["views"]
+        passed = self.voxels["passed"]
         return np.asarray((passed > views) & (passed >= min(MIN_VIEWS, self.views)))
 
 
@@ -127,6 +122,7 @@ def thinned(points: Array, normals: Array) -> SurfacePoints:
     cells = np.column_stack([np.rint(points).astype(np.int64), side])
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     columns = [np.bincount(which.reshape(-1), column) / count for column in (*points.T, *normals.T)]
-    at, facing = np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
+    at = np.stack(columns[:3], axis=1)
+    facing = np.stack(columns[3:], axis=1)
     length = np.linalg.norm(facing, axis=1, keepdims=True)
     return SurfacePoints(at, facing / np.maximum(length, 1e-12))

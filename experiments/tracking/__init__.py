@@ -1,0 +1,1 @@
+"""An object followed while it is manipulated."""

@@ -1,0 +1,320 @@
+"""Cameras from the files that drivers, calibrations and pose estimators write, told apart by their content.
+
+What is read: JSON or YAML with the camera matrix, or with focal lengths and principal point, under the names that are
+common (of handsight, ROS, OpenCV, Open3D, RealSense, BOP, MegaPose, SAM-6D, Kalibr, ORB-SLAM), in the file itself or
+in a part of it; or a text of 3 x 3 or 4 x 4 numbers. Beside them may stand the unit of depth images, which
+programs state in three ways; their values tell them apart.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from handsight import checks
+from handsight.camera import Camera
+from handsight.checks import Array
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.files import read_text
+from handsight.msgspec_errors import decode_object
+from handsight.rig.yaml_file import YamlFile
+
+Values = Mapping[str, object]
+Size = tuple[int, int]
+"""Width and height [pixels]."""
+MAX_BYTES = 100_000_000
+"""Of a file: that of a BOP scene has a camera for each of a hundred thousand images."""
+MAX_DEPTH = 3
+"""Levels of mappings in which a camera is looked for."""
+FORMS = (
+    "fx, fy, cx, cy [pixels], a camera matrix (K, cam_K, camera_matrix, intrinsic_matrix), "
+    "or a text of 3 x 3 or 4 x 4 numbers"
+)
+MATRIX = ("matrix", "k", "camk", "cameramatrix", "intrinsicmatrix", "intrinsics", "intrinsic", "mtx")
+"""Names of a matrix, as `_plain_name` has them; those below too."""
+NUMBERS = {
+    "fx": ("fx", "flx"),
+    "fy": ("fy", "fly"),
+    "cx": ("cx", "ppx"),
+    "cy": ("cy", "ppy"),
+    "width": ("width", "imagewidth", "w"),
+    "height": ("height", "imageheight", "h"),
+}
+SIZE = ("resolution", "imagesize", "imgsize", "size")
+LENS = (
+    *("lens", "d", "distcoeffs", "distortioncoefficients", "distortioncoeffs", "distortion"),
+    *("coeffs", "disto", "dist"),
+)
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""In the order of OpenCV and of `Camera.lens`."""
+MODEL = ("distortionmodel", "model", "cameramodel")
+FISHEYE = ("equidistant", "fisheye", "kannala", "ftheta", "inverse", "modified", "omni", "double", "fov")
+"""Words in the names of models whose coefficients are not those of `Camera.lens`."""
+UNITS = (
+    *("depthscale", "depthfactor", "depthmapfactor", "pngdepthscale", "depthunits"),
+    "depthunitscalefactor",
+)
+"""Names of the unit of depth images that are whole numbers."""
+MOST_METRES, LEAST_STEPS = 0.01, 100.0
+"""A unit up to the first is metres a step (RealSense), from the second on steps a metre (TUM, ORB-SLAM, NICE-SLAM), and
+between them millimetres a step (BOP)."""
+KNOWN = {*LENS, *COEFFICIENTS, *MODEL}
+"""Names that may say something of a lens."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Described:
+    """A camera as a file describes it."""
+
+    K: Array
+    """(3, 3)."""
+    lens: Array
+    sides: tuple[Size, ...]
+    """The sizes that the file may mean; none: it has none."""
+    unit: tuple[str, float] | None = None
+    """Key and number by which the file states the unit of its depth images, where they are whole numbers."""
+    key: str = "matrix"
+    """What the file calls the matrix."""
+
+    def equals(self, other: "_Described") -> bool:
+        """Returns whether the other is the same camera."""
+        same = np.array_equal(self.K, other.K) and np.array_equal(self.lens, other.lens)
+        return same and self.sides == other.sides and self.unit == other.unit
+
+    def of_size(self, size: Size | None) -> Camera:
+        """Returns the camera, whose images have a size; None: that of the file. Raises InvalidInput."""
+        if size is None and len(self.sides) != 1:
+            raise InvalidInput("width: expected width and height of its images, got none; give their size")
+        if size is not None and self.sides and size not in self.sides:
+            came = " x ".join(map(str, self.sides[0]))
+            expected = f"expected {size[0]} x {size[1]} pixels as the image's"
+            raise InvalidInput(
+                f"size: {expected}, got {came} (if the image was resized, --resized scales it)"
+            )
+        return Camera(self.K, size or self.sides[0], self.lens)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFile:
+    """The cameras in a file."""
+
+    path: Path
+    found: Mapping[str, _Described]
+    """By their places in the file, the keys that lead there; empty for the file itself."""
+    numbered: Mapping[int, _Described]
+    """Those whose last key is the number of an image, as BOP has them."""
+
+    def camera(self, size: Size | None = None, image: str = "", *, resized: bool = False) -> Camera:
+        """Returns the camera of an image; arguments and errors are `read_camera`'s."""
+        described = self._of(image)
+        try:
+            if not resized:
+                return described.of_size(size)
+            return described.of_size(None).resized(size or described.sides[0])
+        except InvalidInput as error:
+            message = str(error)
+            if message.startswith("matrix: "):
+                message = f"{described.key}: {message.removeprefix('matrix: ')}"
+            raise InvalidFile(f"{self.path}: {message}") from None
+
+    def step(self, image: str = "") -> tuple[float | None, str]:
+        """Returns the metres of a step of whole numbers in a depth image, None where the file does not state them, and
+        a sentence on how it does; raises InvalidFile."""
+        unit = self._of(image).unit
+        if unit is None:
+            return None, ""
+        key, number = unit
+        metres = number if number <= MOST_METRES else 1 / number if number >= LEAST_STEPS else 1e-3 * number
+        return metres, f"{key} {number:g} of {self.path.name}: {1e3 * metres:.4g} mm a step of depth"
+
+    def _of(self, image: str) -> _Described:
+        """Returns the camera of an image, of that number if there is one for each; raises InvalidFile."""
+        number = re.search(r"\d+$", image)
+        if number and int(number[0]) in self.numbered:
+            return self.numbered[int(number[0])]
+        places = list(self.found)
+        first = self.found[places[0]]
+        different = [place for place in places if not self.found[place].equals(first)]
+        if different:
+            came = checks.brief(", ".join([places[0], *different]))
+            raise InvalidFile(f"{self.path}: expected one camera, got different ones: {came}")
+        return first
+
+
+def read_camera(
+    path: str | Path, *, size: Size | None = None, image: str = "", resized: bool = False
+) -> Camera:
+    """Returns the camera of a file; see the top of this module for what is read.
+
+    `size`: width and height of its images [pixels], where the file may have none; one that it has must be the same,
+    unless the images were `resized`: then the camera is, too. `image`: the name of an image, whose number is that of
+    its camera in a file with one for each. Raises InvalidFile, which names the file and the key, and MissingExtra.
+    """
+    return read_camera_file(path).camera(size, image, resized=resized)
+
+
+def read_camera_file(path: str | Path) -> CameraFile:
+    """Returns all cameras of a file; raises InvalidFile where there is none, MissingExtra."""
+    document = _document(path)
+    try:
+        if isinstance(document, Mapping):
+            found = dict(_cameras(document, "", 1))
+        else:
+            numbers = document[0] if len(document) == 1 else document
+            found = {"": _Described(_matrix(numbers, "matrix"), np.zeros(0), ())}
+        if not found:
+            raise InvalidInput(f"expected a camera, {FORMS}, got neither")
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+    leaves = [(place.rpartition(".")[2], one) for place, one in found.items()]
+    return CameraFile(Path(path), found, {int(leaf): one for leaf, one in leaves if leaf.isdecimal()})
+
+
+def _document(path: str | Path) -> Values | Array:
+    """Returns the content of a file: a mapping of names to values, or rows of numbers."""
+    text = read_text(path, MAX_BYTES, f"a text with {FORMS}")
+    if text.lstrip().startswith(("{", "[")) and (":" in text or text.rstrip().endswith("]")):
+        return decode_object(text.encode(), str(path))
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    try:
+        return np.array([[float(word) for word in row] for row in rows if not row[0].startswith("#")])
+    except ValueError:  # words, or rows of different lengths
+        pass
+    if ":" not in text:
+        came = text.strip().partition("\n")[0]
+        raise InvalidFile(f"{path}: expected a camera, {FORMS}, got {came!r:.60}")
+    # OpenCV's dialect: a header that is no YAML, and tags. `rostopic echo` ends with the begin of another document.
+    text = re.sub(r"\A%YAML.*", "", text).replace("!!opencv-matrix", "")
+    text = re.sub(r"\n---\s*\Z", "\n", text)
+    return YamlFile(Path(path), text).values
+
+
+def _cameras(
+    values: Values, place: str, depth: int, unit: tuple[str, float] | None = None
+) -> Iterator[tuple[str, _Described]]:
+    """Yields the cameras that a mapping describes itself, else those in its parts, with their places in it.
+
+    `unit`: of depth images, as a mapping around this one states it.
+    """
+    named = {_plain_name(key): value for key, value in values.items()}
+    inside = f"{place}." if place else ""
+    try:
+        for key, value in values.items():
+            if _plain_name(key) in UNITS and not isinstance(value, Mapping):
+                unit = key, checks.positive(value, key)  # type: ignore[arg-type]
+        K = _intrinsics(named)
+        if K is not None:
+            _check_known(values)
+            matrix = next((key for key in values if _plain_name(key) in MATRIX), "matrix")
+            yield place, _Described(K, _lens(named), _sides(named), unit, f"{inside}{matrix}")
+            return
+    except InvalidInput as error:
+        name, colon, rest = str(error).partition(": ")
+        written = next((key for key in values if _plain_name(key) == name), name)
+        raise InvalidInput(f"{inside}{written}{colon}{rest}") from None
+    for key, part in values.items() if depth < MAX_DEPTH else ():
+        if isinstance(part, Mapping):
+            yield from _cameras(part, f"{inside}{key}", depth + 1, unit)
+
+
+def _check_known(values: Values) -> None:
+    """Raises InvalidInput for a lens under an unknown name, which would otherwise count as none."""
+    for key, value in values.items():
+        name = _plain_name(key)
+        if _numbers(value) is not None and name not in KNOWN and re.search("lens|dist", name):
+            raise InvalidInput(
+                f"{key}: expected a lens under a known name ({', '.join(LENS[:4])}), got this key"
+            )
+
+
+def _plain_name(key: str) -> str:
+    """Returns a name without what is written in several ways: `Camera.fx`, `camera_matrix` and `cameraMatrix`."""
+    return re.sub("[^a-z0-9]", "", key.rpartition(".")[2].lower())
+
+
+def _intrinsics(named: Values) -> Array | None:
+    """Returns the camera matrix (3, 3) that names describe; None where they describe none."""
+    for name in MATRIX:
+        if (value := named.get(name)) is not None and (numbers := _numbers(value)) is not None:
+            return _matrix(numbers, name)
+    single = {name: _number(named, name) for name in ("fx", "fy", "cx", "cy")}
+    if single["fx"] is None and single["fy"] is None:
+        return None
+    if missing := next((name for name, value in single.items() if value is None), None):
+        raise InvalidInput(f"{missing}: expected a number, got nothing")
+    fx, fy, cx, cy = single.values()
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]], dtype=float)
+
+
+def _matrix(numbers: Array, name: str) -> Array:
+    """Returns a camera matrix (3, 3) from 3 x 3, 3 x 4 or 4 x 4 numbers, from 9, in rows or in columns (which the last
+    row of a camera matrix tells), or from fx, fy, cx, cy; raises InvalidInput."""
+    if numbers.shape == (4,):
+        fx, fy, cx, cy = numbers
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    if numbers.size in (9, 12, 16) and numbers.ndim <= 2:
+        rows = 4 if numbers.size == 16 else 3
+        square = numbers.reshape(rows, -1)
+        if numbers.ndim == 1 and (square[:2, 2] == 0).all() and (square[2, :2] != 0).any():
+            square = square.T  # as Open3D writes them
+        if not square[:3, 3:].any():
+            return checks.finite(square[:3, :3], name, (3, 3))
+    expected = "expected 3 x 3 or 4 x 4 numbers of a camera matrix"
+    raise InvalidInput(f"{name}: {expected}, got {checks.brief(numbers)}")
+
+
+def _lens(named: Values) -> Array:
+    """Returns the coefficients of the lens (n,), none where all are 0; raises InvalidInput for another kind of lens."""
+    lens = np.zeros(0)
+    for name in LENS:
+        if (value := named.get(name)) is not None and (numbers := _numbers(value)) is not None:
+            lens = numbers.ravel()
+            if 0 < len(lens) < 4:
+                raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
+    if any(name in named for name in COEFFICIENTS):
+        lens = np.array([named.get(name, 0.0) for name in COEFFICIENTS], dtype=float)
+    if not lens.any():
+        return np.zeros(0)
+    model = next((str(named[name]) for name in MODEL if isinstance(named.get(name), str)), "")
+    if any(word in model.lower() for word in FISHEYE):
+        expected = "expected plumb_bob or rational_polynomial"
+        raise InvalidInput(f"distortion_model: {expected}, got {model!r:.80}; rectify the images first")
+    count = next((n for n in (4, 5, 8) if not lens[n:].any()), len(lens))
+    return np.pad(lens[:count], (0, max(count - len(lens), 0)))
+
+
+def _sides(named: Values) -> tuple[Size, ...]:
+    """Returns width and height that names describe; both orders of a pair, which some write with the height first."""
+    width, height = _number(named, "width"), _number(named, "height")
+    if width is not None and height is not None:
+        if not (width.is_integer() and height.is_integer()):
+            raise InvalidInput(f"width: expected whole numbers of pixels, got {width:g} x {height:g}")
+        return ((int(width), int(height)),)
+    for name in SIZE:
+        pair = _numbers(named.get(name))
+        if pair is not None and pair.shape == (2,):
+            first, second = (int(side) for side in pair.tolist())
+            return (first, second), (second, first)
+    return ()
+
+
+def _number(named: Values, name: str) -> float | None:
+    """Returns the number under one of the names of a quantity; raises InvalidInput where it is none."""
+    for each in NUMBERS[name]:
+        if each in named:
+            return float(checks.finite(named[each], name, ()))  # type: ignore[arg-type]
+    return None
+
+
+def _numbers(value: object) -> Array | None:
+    """Returns numbers in a list, in lists of them, or under `data`, as OpenCV and ROS have them; None for others."""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    if not isinstance(value, list):
+        return None
+    try:
+        return np.array(value, dtype=float)
+    except (ValueError, TypeError):
+        return None
