@@ -40,13 +40,13 @@ def values():
     ]
 
 
-@pytest.mark.parametrize("value", values(), ids=lambda value: type(value).__name__)
-def test_a_public_value_is_shown_in_ten_lines_without_its_record(value):
-    shown = repr(value)
-    assert type(value).__name__ in shown
-    assert len(shown.splitlines()) <= 10
-    assert len(shown) <= 1000
-    assert not [word for word in ("dtype", "record", " at 0x") if word in shown]
+def test_a_public_value_is_shown_in_ten_lines_without_its_record():
+    for value in values():
+        shown = repr(value)
+        assert type(value).__name__ in shown
+        assert len(shown.splitlines()) <= 10
+        assert len(shown) <= 1000
+        assert not [word for word in ("dtype", "record", " at 0x") if word in shown]
 
 
 def test_a_pose_is_shown_by_position_and_angle_and_a_default_is_left_out():

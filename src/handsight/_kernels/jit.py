@@ -55,9 +55,11 @@ class KernelWarning(UserWarning):
 
 
 def _stamp() -> str:
-    """Returns a text that changes with Python, numba, any kernel (they are compiled into each other), and the bounds
-    in `checks` that kernels use."""
-    digest = hashlib.sha256(f"{sys.implementation.cache_tag} {numba.__version__}".encode())
+    """Returns a text that changes with Python, numba, any kernel (they are compiled into each other), the bounds in
+    `checks` that kernels use, and the place of it all: numba finds no kernel that was compiled from another copy, and
+    who uses one copy must not wait while another is compiled."""
+    place = Path(__file__).parent
+    digest = hashlib.sha256(f"{sys.implementation.cache_tag} {numba.__version__} {place}".encode())
     for path in (Path(checks.__file__), *sorted(Path(__file__).parent.rglob("*.py"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
