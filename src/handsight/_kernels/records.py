@@ -279,17 +279,3 @@ CHAIN_JOINT = record(
     ("slides", "i8"),  # whether it is prismatic
     ("value", "i8"),  # index of its position among those of all joints
 )
-
-# A pose from vision, or several merged: the covariance of its noise, along the axes of the mount (what the camera is
-# fixed to), and the variance of the object's random walk in the palm from the prior to it.
-MEASUREMENT = record(
-    ("T_mount_palm", "f8", (4, 4)),
-    ("T_mount_object", "f8", (4, 4)),
-    ("covariance", "f8", (6, 6)),
-    ("process_noise", "f8", (6,)),
-    ("twist", "f8", (6,)),
-    ("latency", "f8"),
-    ("time", "f8"),
-    ("began", "f8"),
-    ("drift_gain", "f8"),
-)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.posterior.propagation import at_point, inflate
 from handsight._kernels.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
 from handsight.errors import InvalidInput
@@ -251,8 +250,9 @@ class PoseEstimate:
         if not variance.any():
             return self
         covariance = None if self.covariance is None else self.covariance + np.diag(variance)
-        information = np.array(self.information)
-        inflate(information, variance)
+        # (I⁻¹ + Q)⁻¹ of an information I that may be singular.
+        information = np.linalg.solve(np.eye(6) + self.information * variance, self.information)
+        information = (information + information.T) / 2
         return self.with_gaussian(self.T_palm_object, covariance, information)
 
     def with_gaussian(
@@ -373,5 +373,11 @@ def point_uncertainty(estimate: PoseEstimate, model: ObjectModel, point_object: 
 
     A direction whose information is zero because of a declared symmetry counts as certain.
     """
-    covariance, arm = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
-    return covariance, at_point(np.array(estimate.information), model.radius, arm, covariance)
+    arm = estimate.T_palm_object[:3, :3] @ point_object
+    scale = np.repeat([1.0, 1 / model.radius], 3)
+    values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
+    is_known = values > 1e-9 * values[-1]  # else it is a declared symmetry's zero
+    columns = scale[:, None] * vectors[:, is_known] / np.sqrt(values[is_known])
+    moved = columns[:3] - se3.skew(arm) @ columns[3:]
+    covariance = moved @ moved.T
+    return covariance, float(np.linalg.eigvalsh(covariance)[-1])

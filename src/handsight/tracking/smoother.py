@@ -14,21 +14,21 @@ the palm: it is overconfident (measured: χ² forty times too large).
 Contacts are not measurements of this estimate: they stay the same while the hand holds still, and would be counted
 again at every instant. Instead, each correction fuses them anew, with this estimate as its prior.
 
-The computation is in `_kernels/posterior/pose_bias.py`.
+What vision should measure is computed in `tracking/pose_bias.py`.
 """
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.posterior import pose_bias
-from handsight._kernels.records import MEASUREMENT
+from handsight._kernels.posterior.pose_bias import follow
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.correction import PosePrior
 from handsight.gaussian_pose import GaussianPose, kalman_update
+from handsight.tracking import pose_bias
+from handsight.tracking.pose_bias import LATENCY, MEASUREMENT, POSES, Measurements
 
 MAX_PROPAGATION = 100.0
 """Variance at which process noise stops growing [m², rad²]: the object may be anywhere."""
@@ -36,8 +36,10 @@ MOST_MEASUREMENTS = 48
 SAME_PALM = np.array([0.01, np.deg2rad(2), 0.5])
 """Neighbours in time from poses of the palm nearer to each other than this are merged [m, rad], within so many
 correlation times of the drift. Where more than `MOST_MEASUREMENTS` remain, the two nearest ones are merged as well."""
+STEPS = 2  # for each new measurement; the error that they leave is removed with the next
 NO_DRIFT = np.array([0.0, 0.0, 1.0])
 EYE = np.eye(19)
+RIDGE = 1e-14 * EYE[POSES, POSES]  # [m², rad²]: a bias may be known to be none
 
 
 class Motion(NamedTuple):
@@ -130,9 +132,7 @@ class PoseAndBias:
         """Returns the state with its drift so much later; `drift` (3,) is that of a `PoseBiasSmoother`."""
         if seconds == 0:
             return self
-        covariance, rest = self.covariance.copy(), self.rest.copy()
-        pose_bias.propagate(covariance, rest, drift, seconds)
-        return PoseAndBias(self.Ts, covariance, rest)
+        return PoseAndBias(self.Ts, *pose_bias.drifted(self.covariance, self.rest, drift, seconds))
 
     def spread(self, covariance: Array) -> "PoseAndBias":
         """Returns the state with `covariance` (6, 6) added to the pose's."""
@@ -161,7 +161,7 @@ class PoseBiasSmoother:
     """(6,) `process_noise` at the last measurement."""
     process_noise: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) variance of the object's random walk in the palm since the prior [m², rad²]."""
-    measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, dtype=MEASUREMENT))
+    measurements: Measurements = field(default_factory=lambda: np.empty(0, dtype=MEASUREMENT))
     """(k,) MEASUREMENT, one row for each distinct pose of the palm, in the order of time."""
     drift: Array = field(default_factory=lambda: NO_DRIFT)
     """(3,) variance of vision's drift, of a position [m²] and a rotation [rad²], and its correlation time [s]."""
@@ -236,8 +236,7 @@ class PoseBiasSmoother:
         measurements[:-1] = self.measurements
         measurements[-1] = self._measurement(pose_mount_object, T_mount_palm, motion)
         known = self.solved.Ts, self.latency, self.pivot, self.drift
-        count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, *known)
-        return self._solved(measurements[:count])
+        return self._solved(pose_bias.merged(measurements, MOST_MEASUREMENTS, SAME_PALM, *known))
 
     @property
     def latency(self) -> float:
@@ -260,15 +259,15 @@ class PoseBiasSmoother:
         self, pose_mount_object: GaussianPose, T_mount_palm: Array, motion: Motion = STILL
     ) -> float:
         """Returns the squared Mahalanobis distance (χ² of six numbers) of a measurement from its prediction."""
-        now, measured = self.now, np.empty(1, dtype=MEASUREMENT)
+        now = self.now
+        measured = np.empty(1, dtype=MEASUREMENT)
         measured[0] = self._measurement(pose_mount_object, T_mount_palm, motion)
-        return float(pose_bias.distance2(now.Ts, now.rest, now.covariance, self.pivot, measured))
+        (rows,) = pose_bias.rows(now.Ts, now.rest[6], self.pivot, measured)
+        return pose_bias.distance2(rows, pose_mount_object.covariance, now.rest, now.covariance)
 
     def expected(self, T_mount_palm: Array) -> Array:
         """Returns (4, 4) the object's pose in the mount that vision should measure, with its bias but no drift."""
-        T = np.empty((4, 4))
-        pose_bias.expect(self.solved.Ts, self.pivot, np.array(T_mount_palm), T)
-        return T
+        return pose_bias.expected(self.solved.Ts, self.pivot, T_mount_palm)
 
     def _measurement(self, pose: GaussianPose, T_mount_palm: Array, motion: Motion) -> tuple[object, ...]:
         """Returns the fields of a MEASUREMENT."""
@@ -276,17 +275,36 @@ class PoseBiasSmoother:
         poses = T_mount_palm, pose.T_a_b, pose.covariance
         return *poses, self.process_noise, twist, latency, self.time, self.time, gain
 
-    def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
-        """Returns the smoother at the maximum a posteriori of its prior and these measurements."""
-        prior = self.prior
-        Ts = self.solved.Ts.copy()
-        rest = self.solved.rest.copy()
-        covariance = EYE.copy()
-        given = prior.Ts, prior.rest, prior.covariance, self.pivot, self.drift, measurements
-        if not pose_bias.smooth(*given, Ts, rest, covariance):
-            raise np.linalg.LinAlgError("vision: expected positive definite covariances")
+    def _solved(self, measurements: Measurements) -> "PoseBiasSmoother":
+        """Returns the smoother at the maximum a posteriori of its prior and these measurements; raises LinAlgError for
+        covariances that are not positive definite.
+
+        A step of Gauss-Newton is a Kalman filter over the measurements, with every derivative taken at one state. So
+        the object's random walk since an older measurement is an error common to all that are as old, and measurements
+        share vision's drift the more, the nearer they are in time.
+        """
+        state = self.solved
+        walked = np.diff(measurements["process_noise"], axis=0, prepend=np.zeros((1, 6)))
+        gaps = np.diff(measurements["time"], prepend=0.0)
+        whitening = pose_bias.whitening(measurements["covariance"])
+        for _ in range(STEPS):
+            rows = whitening @ pose_bias.rows(state.Ts, state.rest[6], self.pivot, measurements)
+            step = np.concatenate([*se3.difference(self.prior.Ts, state.Ts), self.prior.rest])
+            step[LATENCY] -= state.rest[6]
+            covariance = self.prior.covariance.copy()
+            follow(rows, walked, gaps, self.drift, step, covariance)
+            rest = step[12:].copy()
+            rest[6] += state.rest[6]
+            state = PoseAndBias(se3.moved(state.Ts, step[POSES].reshape(2, 6)), covariance, rest)
+            # A palm that turns fast turns by some radians a second.
+            turned = max(np.linalg.norm(step[3:6]), np.linalg.norm(step[9:12]), abs(step[LATENCY]))
+            left = step[POSES] @ np.linalg.solve(covariance[POSES, POSES] + RIDGE, step[POSES])
+            # A step that turns by an angle leaves at most that fraction of itself: here a χ² of a hundredth of a
+            # standard deviation, squared.
+            if turned**2 * left < 1e-4:
+                break
         last = measurements[-1]
-        state = PoseAndBias(Ts, covariance, rest).inflated(self.process_noise - last["process_noise"])
+        state = state.inflated(self.process_noise - last["process_noise"])
         state = state.later(self.time - last["time"], self.drift)
         return replace(
             self,
