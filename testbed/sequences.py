@@ -24,7 +24,7 @@ from handsight.vision.object.depth_tracker import VELOCITY_SHARE
 from handsight.vision.object.pose_refiner import REFINER_WITHIN
 from testbed.report import Array, Row
 from testbed.scenes import nearest_truth
-from testbed.sight_scenes import WIDE
+from testbed.sight_scenes import WIDE, laid_against
 
 RATE = 30.0
 FASTEST = 0.3, 1.5
@@ -201,12 +201,7 @@ def _grip(
     R = se3.random(rng)[:3, :3]
     aim = se3.apply(T_camera_object, model.sample(1, int(rng.integers(1 << 31)))[0])[0]
     T = se3.compose(R, aim + (model.diameter + 0.3) * way - R @ vertices.mean(axis=0))
-    T_object_camera = se3.inverse(T_camera_object)
-    for _ in range(60):
-        apart = model.evaluate(se3.apply(T_object_camera @ T, vertices[::4])).distance.min()
-        if apart < 1e-3:
-            break
-        T[:3, 3] -= max(apart, 1e-3) * way
+    T = laid_against(model, T_camera_object, T, vertices, way)
     # From aside, so that it does not hide the object on its way.
     return T, np.cos(around) * side[1] - np.sin(around) * side[0]
 

@@ -228,6 +228,20 @@ def _before_camera(rng: Rng) -> Array:
     return se3.compose(se3.random(rng)[:3, :3], np.array([*aside, z]))
 
 
+def laid_against(
+    model: hs.ObjectModel, T_camera_object: Array, T_camera_palm: Array, vertices: Array, way: Array
+) -> Array:
+    """A hand's pose (4, 4), moved against the way (3,) it comes from until its vertices (k, 3) touch the object."""
+    T = T_camera_palm.copy()
+    T_object_camera = se3.inverse(T_camera_object)
+    for _ in range(60):
+        apart = model.evaluate(se3.apply(T_object_camera @ T, vertices[::4])).distance.min()
+        if apart < 1e-3:
+            break
+        T[:3, 3] -= max(apart, 1e-3) * way
+    return T
+
+
 def _touching(
     model: hs.ObjectModel, hand: HandShape, T_camera_object: Array, rng: Rng
 ) -> tuple[Array, Array]:
@@ -241,13 +255,8 @@ def _touching(
     way = rng.normal(size=3) - start / np.linalg.norm(start)
     way /= np.linalg.norm(way)
     aim = se3.apply(T_camera_object, model.sample(1, int(rng.integers(1 << 31)))[0])[0]
-    T, apart = se3.compose(R, aim + (model.diameter + 0.3) * way - R @ middle), 1.0
-    T_object_camera = se3.inverse(T_camera_object)
-    for _ in range(60):
-        apart = model.evaluate(se3.apply(T_object_camera @ T, vertices[::4])).distance.min()
-        if apart < 1e-3:
-            break
-        T[:3, 3] -= max(apart, 1e-3) * way
+    T = se3.compose(R, aim + (model.diameter + 0.3) * way - R @ middle)
+    T = laid_against(model, T_camera_object, T, vertices, way)
     return se3.apply(T, vertices), se3.apply(T, hand.vertices_palm(believed))
 
 

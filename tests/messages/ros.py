@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight import se3
@@ -18,6 +19,16 @@ STORES[1].register(
 FINGERS = ("ff", "th")
 JOINTS = ("j0", "j1", "j2")
 START = 1_700_000_000.0
+
+
+def begun(folder, kind, store):
+    """The path of a recording of a kind (bag, mcap, db3) in a folder, its writer, and what makes bytes of messages."""
+    if kind == "bag":
+        path = folder / "hand.bag"
+        return path, rosbag1.Writer(path), store.serialize_ros1
+    path = folder / "hand"
+    plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    return path, rosbag2.Writer(path, version=9, storage_plugin=plugin), store.serialize_cdr
 
 
 def finger(frame, full_scale=None):

@@ -7,7 +7,6 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
-from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight.contact import TactileSurface
@@ -17,7 +16,7 @@ from handsight.messages.encode import header
 from handsight.recording import RecordingWriter, open_recording
 from handsight.rig import JointReading, Rig
 from handsight.rig.save import write
-from messages.ros import START, Messages, nanoseconds, raw, rig
+from messages.ros import START, Messages, begun, nanoseconds, raw, rig
 from rig import rigs
 from testbed.refusals import refused
 
@@ -43,12 +42,7 @@ def recorded(folder, kind, positions=COUNTS, names=("j0", "j1", "j2")):
     """Three messages of a driver whose package nobody has installed here."""
     store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(DEFINITION, HAND))
-    path = folder / ("hand.bag" if kind == "bag" else "hand")
-    if kind == "bag":
-        writer, serialize = rosbag1.Writer(path), store.serialize_ros1
-    else:
-        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
-        writer, serialize = rosbag2.Writer(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    path, writer, serialize = begun(folder, kind, store)
     with writer:
         connection = writer.add_connection("/hand", HAND, typestore=store)
         for k in range(3):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight.contact import TactileSurface
@@ -15,7 +14,7 @@ from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.encode import header, parts
 from handsight.recording import open_recording
-from messages.ros import START, Messages, nanoseconds, raw, rig
+from messages.ros import START, Messages, begun, nanoseconds, raw, rig
 
 M = Messages()
 READING = np.arange(1.0, 7.0).reshape(2, 3)
@@ -268,12 +267,7 @@ def recorded(folder, kind, definition=HAND_DEFINITION, name=HAND):
         ("/skin", START + 0.005, None, name),
         ("/joint_states", START + 0.01, joints.joints(START + 0.01), "sensor_msgs/msg/JointState"),
     ]
-    path = folder / ("hand.bag" if kind == "bag" else "hand")
-    if kind == "bag":
-        writer, serialize = rosbag1.Writer(path), store.serialize_ros1
-    else:
-        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
-        writer, serialize = rosbag2.Writer(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    path, writer, serialize = begun(folder, kind, store)
     with writer:
         connections = {}
         for topic, stamp, message, type_name in rows:

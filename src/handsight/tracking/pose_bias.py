@@ -18,6 +18,7 @@ from handsight.checks import Array
 from handsight.gaussian_pose import kalman_update
 
 POSES = slice(0, 12)
+BIAS = slice(6, 12)
 DRIFT = slice(12, 18)
 LATENCY = 18
 INNOVATION = 19
@@ -61,17 +62,20 @@ def rows(Ts: Array, latency: float, pivot: Array, measurements: Measurements) ->
     [I, -[ℓ]x; 0, I]. A latency moves it back along the velocity of the object with the palm.
     """
     T_mount_palm = palms(measurements, latency)
+    R = T_mount_palm[:, :3, :3]
     at = expected(Ts, pivot, T_mount_palm)
-    E, shift = Ts[1, :3, :3], Ts[1, :3, 3]
-    found = np.zeros((len(measurements), 6, 20))
-    found[:, :3, :3] = found[:, 3:, 3:6] = E @ T_mount_palm[:, :3, :3]
-    found[:, :, 6:12] = np.eye(6)
-    found[:, :3, 9:12] = -se3.skew(at[:, :3, 3] - pivot - shift)
-    found[:, :, DRIFT] = measurements["drift_gain"][:, None, None] * np.eye(6)
+    E = Ts[1, :3, :3]
+    lever = at[:, :3, 3] - pivot - Ts[1, :3, 3]
     velocity = measurements["twist"][:, :3]
     omega = measurements["twist"][:, 3:]
-    arm = T_mount_palm[:, :3, :3] @ Ts[0, :3, 3]
+    arm = R @ Ts[0, :3, 3]
     carried = np.einsum("kij,kj->ki", se3.skew(omega), arm)
+    found = np.zeros((len(measurements), 6, 20))
+    found[:, :3, :3] = E @ R
+    found[:, 3:, 3:6] = E @ R
+    found[:, :, BIAS] = np.eye(6)
+    found[:, :3, 9:12] = -se3.skew(lever)
+    found[:, :, DRIFT] = measurements["drift_gain"][:, None, None] * np.eye(6)
     found[:, :3, LATENCY] = -(velocity + carried) @ E.T
     found[:, 3:, LATENCY] = -omega @ E.T
     found[:, :, INNOVATION] = se3.difference(measurements["T_mount_object"], at)

@@ -6,11 +6,9 @@ import numpy as np
 
 from handsight._kernels.jit import entry
 
-POSE, DRIFT, LATENCY = (
-    6,
-    12,
-    18,
-)  # where the pose ends, and where drift and latency begin, among the state's numbers
+POSE = 6  # where the pose ends among the state's numbers,
+DRIFT = 12  # where the drift begins,
+LATENCY = 18  # and where it ends
 
 
 @entry
