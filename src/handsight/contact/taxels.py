@@ -175,9 +175,7 @@ class TactileSurface:
             raise InvalidInput(
                 f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
             )
-        single = len(self.points) == 1
-        degrees = 45 if single else 2 if self.indentation else 4 if flat else 0.8
-        sigma_normal = math.radians(degrees) if self.sigma_normal is None else self.sigma_normal
+        sigma_normal = self._usual_sigma_normal(flat) if self.sigma_normal is None else self.sigma_normal
         checks.sigma_point(self.sigma_point, "sigma_point")
         checks.sigma_point(self.sigma_mount, "sigma_mount")
         side = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
@@ -192,8 +190,16 @@ class TactileSurface:
         record["variance_point"] = self.sigma_point**2
         record["indentation"] = self.indentation
         # A gel hangs beside an object, and a pad may bear one that it does not feel, so neither has untouched taxels.
-        record["flat"] = flat and not single and not self.indentation
+        record["flat"] = flat and not self.is_pad and not self.indentation
         return record
+
+    def _usual_sigma_normal(self, flat: bool) -> float:
+        """Returns the standard deviation of a contact's normal where none is given [rad]."""
+        if self.is_pad:
+            return math.radians(45)
+        if self.indentation:
+            return math.radians(2)
+        return math.radians(4 if flat else 0.8)
 
     def _axes(self, normals: Array) -> Array:
         """Returns (n, 3, 3) the taxels' axes, in columns; raises InvalidInput for an x along the normal."""
@@ -220,6 +226,11 @@ class TactileSurface:
         x_axes, normals = (np.tile(T[:3, k], (len(points), 1)) for k in (0, 2))
         fields |= {"frame": frame, "pitch": pitch, "layout": Grid(T, int(rows), int(columns))}
         return cls(points=points, normals=normals, x_axes=x_axes, **fields)
+
+    @property
+    def is_pad(self) -> bool:
+        """Whether it has one taxel, so that it is touched somewhere on it or not."""
+        return len(self.points) == 1
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -274,13 +285,14 @@ class TactileSurface:
         patches = np.empty(MAX_PATCHES, dtype=PATCH)
         taxels = self.taxels
         if self.indentation:
-            depth = self.record["scale"][0, 0] * (values - self.record["offset"][0, 0]) - baseline
-            values = np.where(self._alone(depth[:, 0]), np.nan, values.T).T
-            taxels = self._indented(depth[:, 0])
+            scaled = self.record["scale"][0, 0] * (values[:, 0] - self.record["offset"][0, 0])
+            depth = scaled - baseline[:, 0]
+            taxels = self._indented(depth)
+            values = np.where(self._alone(depth), np.nan, values[:, 0])[:, None]
         count = sense_taxels(values, baseline, self.record, taxels, rise, states, patches)
         patches = patches[:count]
         sink(patches, self, GIVES)
-        if self.indentation or n == 1:
+        if self.indentation or self.is_pad:
             # A patch is one contact, and what hangs between gel and object does not say where the object is not.
             patches["flat"] = False
             states[0][states[0] == UNTOUCHED] = FAR
@@ -504,7 +516,9 @@ class SkinTouch:
         points = se3.apply(T, np.concatenate([surface.points[chosen], patches["point"]]))
         normals = np.concatenate([-surface.normals[chosen], patches["normal"]]) @ T[:3, :3].T
         C = se3.rotate_covariance(T[:3, :3], C)
-        for k in range(n, len(C) if by_error is not None else n):
+        if by_error is None:
+            return Contacts(points, normals, covariance=C)
+        for k in range(n, len(C)):
             J = np.array(by_error)
             J[:3] -= se3.skew(points[k] - T[:3, 3]) @ J[3:]
             J[3:] = -se3.skew(normals[k]) @ J[3:]

@@ -193,8 +193,7 @@ class SkinSensors:
                 raise InvalidInput(f"observation.skin[{name!r}]: {expected}, got {came}")
             finger = self._fingers[name]
             watched[name] = known.after(readings, touch, untouched=not touched)
-            is_pad = len(surface.points) == 1
-            if is_pad and (finger in observation.wrenches or finger in observation.contacts):
+            if surface.is_pad and (finger in observation.wrenches or finger in observation.contacts):
                 continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
