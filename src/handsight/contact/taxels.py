@@ -101,8 +101,8 @@ class TactileSurface:
     sigma_point: float = 1.5e-4
     """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
     sigma_normal: float | None = None
-    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one, 2° by
-    indentations, 45° of one taxel."""
+    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one, 45° of one
+    taxel, 2° by indentations, the turn of their mount included."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the surface as a whole on its link [m]."""
     stiffness: float | None = None
@@ -184,8 +184,9 @@ class TactileSurface:
         record["pitch"] = side
         record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
-        # pressed more; so the surface may also be turned.
-        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
+        # pressed more; so the surface may also be turned. How far a gel gives way is measured.
+        turns = 0.0 if self.indentation else 4 / width**2
+        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, turns], 3)
         record["noise"] = self.noise
         record["variance_point"] = self.sigma_point**2
         record["indentation"] = self.indentation
