@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import handsight as hs
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Gel, Pad
+from handsight.contact import TactileSurface
 from testbed import scenes
 
 Rng = np.random.Generator
@@ -42,11 +42,21 @@ class Shape:
         points = self.radius * (n - [0, 0, 1.0])
         return (points if self.dome else points + np.outer(y, [0, 1.0, 0])), n
 
-    def pad(self, **fields: Any) -> Pad:
-        """The pad as a rig has it: 5 by 4 points."""
+    def pad(self, **fields: Any) -> TactileSurface:
+        """The pad as a rig has it: one taxel in its middle, which knows how far its rim falls back and turns."""
         points, normals = self.surface(5, 4)
-        given: Any = {"frame": "palm", "points": points, "normals": normals, "threshold": 0.5} | fields
-        return Pad(**given)
+        middle = points.mean(axis=0)
+        turned = np.arccos(normals[:, 2]).max()
+        given: Any = {
+            "frame": "palm",
+            "points": middle[None],
+            "normals": [[0, 0, 1]],
+            "pitch": np.hypot(self.width, self.length),
+            "sigma_point": max(float(np.ptp(points[:, 2])) / 2, 1.5e-4),
+            "sigma_normal": np.deg2rad(45) + turned / 2,
+            "threshold": 0.5,
+        }
+        return TactileSurface(**given | fields)
 
 
 SHAPES = {
@@ -175,10 +185,11 @@ NOISE, ACROSS, SCALE, BLUR = 2e-5, 2.0, 0.08, 1.5e-4
 PAD = Shape(COLUMNS * PITCH, ROWS * PITCH)
 
 
-def gel(**fields: Any) -> Gel:
-    """The gel, in the palm's axes."""
-    given: Any = {"threshold": 1.5e-4} | fields
-    return Gel.grid(frame="palm", T_frame_grid=np.eye(4), rows=ROWS, columns=COLUMNS, pitch=PITCH, **given)
+def gel(**fields: Any) -> TactileSurface:
+    """The gel, in the palm's axes: a taxel for each block of 2 by 2 pixels."""
+    given: Any = {"rows": ROWS // 2, "columns": COLUMNS // 2, "pitch": 2 * PITCH}
+    given |= {"frame": "palm", "T_frame_grid": np.eye(4), "threshold": 1.5e-4, "indentation": True}
+    return TactileSurface.grid(**given | fields)
 
 
 @dataclass(frozen=True, eq=False)

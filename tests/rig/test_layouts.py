@@ -201,55 +201,54 @@ def test_a_file_of_another_kind_is_refused(rig_with, tmp_path):
                 rig_with(f"frame: palm, file: {name}")
 
 
-GEL = "kind: gel, frame: palm, rows: 240, columns: 320, pitch: 6.0e-5"
+GEL = "indentation: true, frame: palm, rows: 30, columns: 40, pitch: 4.8e-4"
 
 
-def test_a_gels_image_is_told_by_its_pixels_flat_or_bent(rig_with):
-    flat, bent = (rig_with(GEL + more).skin["a"] for more in (", scale: -0.001", ", radius: 0.015"))
-    assert flat.kind == bent.kind == "gel"
-    assert flat.shape == bent.shape == (240, 320)
-    assert flat.pitch == pytest.approx(6e-5 * flat.block)
-    assert np.ptp(flat.points[:, 0]) == pytest.approx(320 * 6e-5, abs=2 * flat.pitch)
+def test_a_gel_is_told_by_its_grid_and_read_as_the_same(rig_with, tmp_path):
+    rig = rig_with(GEL + ", scale: -0.001")
+    gel = rig.skin["a"]
+    assert (gel.indentation, gel.shape) == (True, (30, 40))
+    (tmp_path / "again.yaml").write_text(text(rig))
+    again = Rig.from_file(tmp_path / "again.yaml").skin["a"]
+    assert (again.indentation, again.shape) == (True, (30, 40))
+    np.testing.assert_allclose(again.points, gel.points, atol=1e-9)
+    np.testing.assert_allclose(again.record["scale"], gel.record["scale"])
+
+
+def test_a_gel_may_be_bent_and_have_an_image(rig_with):
+    bent = rig_with(GEL + ", radius: 0.015").skin["a"]
     assert np.ptp(bent.normals[:, 0]) > 1.0
     np.testing.assert_allclose(np.linalg.norm(bent.points[:, [0, 2]] + [0, 0.015], axis=1), 0.015, atol=1e-12)
 
 
-def test_a_gel_at_places_of_a_file_has_an_image_of_blocks(rig_with, tmp_path):
-    y, x = np.meshgrid(4e-4 * np.arange(20), 4e-4 * np.arange(15), indexing="ij")
-    rows = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel(), np.tile([0, 0, 1], (300, 1))])
-    (tmp_path / "gel.csv").write_text("\n".join(",".join(map(str, row)) for row in rows))
-    gel = rig_with("kind: gel, frame: palm, file: gel.csv, image: [60, 45]").skin["a"]
-    assert (gel.block, gel.shape) == (3, (60, 45))
-    (tmp_path / "again.yaml").write_text(text(replace(rig_with(GEL), skin={"a": gel})))
-    again = Rig.from_file(tmp_path / "again.yaml").skin["a"]
-    assert again.shape == (60, 45)
-    np.testing.assert_allclose(again.points, gel.points, atol=1e-9)
-
-
-def test_a_binary_pad_is_told_by_any_layout_and_read_as_the_same(rig_with, tmp_path):
-    rig = rig_with("kind: binary, frame: palm, rows: 5, columns: 4, pitch: 0.004, radius: 0.01, channels: 15")
-    pad = rig.skin["a"]
-    assert (pad.kind, pad.shape, len(pad.points)) == ("binary", (15,), 20)
+def test_a_pad_is_one_taxel_and_read_as_the_same(rig_with, tmp_path):
+    rig = rig_with("frame: palm, rows: 1, columns: 1, pitch: 0.026, sigma_normal_deg: 60")
     (tmp_path / "again.yaml").write_text(text(rig))
-    again = Rig.from_file(tmp_path / "again.yaml").skin["a"]
-    assert (again.kind, again.shape) == ("binary", (15,))
-    for values in zip(pad.touch(np.ones(15)).patches[0], again.touch(np.ones(15)).patches[0], strict=True):
+    pad, again = rig.skin["a"], Rig.from_file(tmp_path / "again.yaml").skin["a"]
+    assert not again.indentation
+    for values in zip(pad.touch([[1]]).patches[0], again.touch([[1]]).patches[0], strict=True):
         np.testing.assert_allclose(*values, rtol=1e-6, atol=1e-9)
+
+
+PLAIN = "frame: palm, rows: 3, columns: 4, pitch: 0.004"
 
 
 @pytest.mark.parametrize(
     ("lines", "field"),
     [
-        (GEL + ", channels: 3", "skin.a.channels"),
-        ("frame: palm, rows: 2, columns: 2, pitch: 0.004, image: [4, 4]", "skin.a.image"),
-        (GEL.replace("6.0e-5", "0.058"), "skin.a.pitch"),
-        (GEL.replace("gel", "gell"), "skin.a.kind"),
+        (PLAIN + ", kind: gel", "skin.a.kind"),
+        (PLAIN + ", kind: binary", "skin.a.kind"),
+        (PLAIN + ", kind: taxels", "skin.a.kind"),
+        (PLAIN + ", image: [4, 4]", "skin.a.image"),
+        (PLAIN + ", channels: 15", "skin.a.channels"),
+        (PLAIN + ", indentation: 1", "skin.a.indentation"),
+        (GEL.replace("4.8e-4", "0.48"), "skin.a.pitch"),
         (GEL + ", components: 3", "skin.a.components"),
-        ("kind: gel, frame: palm, rows: 240, pitch: 6.0e-5", "skin.a.columns"),
+        ("indentation: true, frame: palm, rows: 30, pitch: 4.8e-4", "skin.a.columns"),
         (f"{GEL}, stiffness: 1.0e7", "skin.a.stiffness"),
-        ("frame: palm, rows: 3, columns: 4, pitch: 0.004, sigma_stiffness: 1.0e7", "skin.a.sigma_stiffness"),
+        (PLAIN + ", sigma_stiffness: 1.0e7", "skin.a.sigma_stiffness"),
     ],
 )  # fmt: skip
-def test_keys_of_another_kind_are_refused(rig_with, lines, field):
+def test_keys_that_went_or_do_not_belong_together_are_refused(rig_with, lines, field):
     with refused(InvalidFile, field):
         rig_with(lines)

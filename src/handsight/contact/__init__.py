@@ -14,15 +14,13 @@ from handsight.contact.fingertips import (
     parse_fingertip,
     unambiguous_cap,
 )
-from handsight.contact.gels import Gel
-from handsight.contact.pads import Pad
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
 from handsight.contact.tables import COLUMNS_HELP, convert
 from handsight.contact.taxels import SkinTouch, TactileSurface
 
 __all__ = [
     "COLUMNS_HELP", "FINGERTIP_HELP", "REASON_NAMES", "Contact", "ContactBatch", "Contacts", "Ellipsoid",
-    "Fingertip", "Gel", "NoContact", "Pad", "Reason", "SkinTouch", "Sphere", "TactileSurface",
-    "WrenchCalibration", "calibrate_wrench", "compensate", "contact_from_wrench", "contacts_from_wrenches",
+    "Fingertip", "NoContact", "Reason", "SkinTouch", "Sphere", "TactileSurface", "WrenchCalibration",
+    "calibrate_wrench", "compensate", "contact_from_wrench", "contacts_from_wrenches",
     "convert", "parse_fingertip", "unambiguous_cap",
 ]  # fmt: skip

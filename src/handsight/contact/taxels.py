@@ -5,20 +5,32 @@ skin. Pressed taxels that touch each other are a patch. Where the surface is fla
 the surface's normal, as a face may lie on it; where it is curved, a patch is one contact, at its centre of pressure. An
 untouched taxel is a point that the object does not cover. A dead, stuck or half covered taxel is no evidence.
 
+A gel, whose readings are indentations, is a surface whose taxels are where it was pressed to, with the normals that its
+slope gives them. A pad, which is touched somewhere or not, is one taxel as large as it.
+
 Frame `grid` of a flat grid: origin in its middle, x along a row (the column's number grows), y along a column (the
 row's number grows), +z out of the skin.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.taxel_records import LOW, NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
+from handsight._kernels.touch.taxel_records import (
+    FAR,
+    LOW,
+    NEAR,
+    PATCH,
+    PRESSED,
+    SURFACE,
+    TAXEL,
+    UNTOUCHED,
+    WIDE,
+)
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.contact.soft_skin import sink
@@ -34,6 +46,10 @@ GIVES = 2e-8
 """How much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber 1.7e-8, 5 mm of foam 1e-7."""
 MOST_TAXELS, FLAT = 4096, math.radians(3)
 """Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
+LARGEST_PITCH = 0.1
+"""Between taxels, and the diagonal of a pad on a palm [m]."""
+PIXELS = "a whole number of rows and columns of pixels for each taxel (set rows, columns and pitch by it)"
+"""What an image of a gel must have."""
 MOST_NEAR = 64
 """Taxels around one among which its neighbours are chosen: the 24 within 2.9 pitches of a grid, and those that face
 elsewhere on a thin link."""
@@ -51,8 +67,6 @@ class Grid(NamedTuple):
 class TactileSurface:
     """Taxels of one link of the hand; wrong fields raise InvalidInput."""
 
-    kind: ClassVar[str] = "taxels"
-
     frame: str
     """Body of the hand's file to which the taxels are fixed."""
     points: Array
@@ -66,10 +80,16 @@ class TactileSurface:
     normal. The taxel's y completes it to a right-handed frame."""
     components: Literal[1, 3] = 1
     """Numbers a taxel: its pressure, or its force along x, along y and into the skin."""
+    indentation: bool = False
+    """Whether readings are how deep the surface is pressed in [m], as images of a gel are, and no pressures."""
     area: float | None = None
     """Of a taxel [m²]; None: the square of `pitch`."""
     pitch: float = 0.0
-    """Distance from taxel to taxel [m]; 0: the median distance to the third nearest taxel."""
+    """Distance from taxel to taxel [m]; 0: the median distance to the third nearest taxel.
+
+    Of a pad of one taxel it is the diagonal, which gives twice the variance of a place anywhere on it: a tilted face or
+    an edge touches a pad at its rim.
+    """
     full_scale: float | None = None
     """The largest scaled reading there is: such a taxel is pressed, unless it always reads that."""
     scale: ArrayLike = 1.0
@@ -81,7 +101,8 @@ class TactileSurface:
     sigma_point: float = 1.5e-4
     """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
     sigma_normal: float | None = None
-    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one."""
+    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one, 45° of one
+    taxel, 2° by indentations, the turn of their mount included."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the surface as a whole on its link [m]."""
     stiffness: float | None = None
@@ -104,46 +125,49 @@ class TactileSurface:
     def __post_init__(self) -> None:
         points = checks.position(self.points, "points", (None, 3))
         n = len(points)
-        most = self.full_scale
         if not 1 <= n <= MOST_TAXELS:
             raise InvalidInput(f"points: expected 1 to {MOST_TAXELS} taxels, got {n}")
-        if (extent := float(np.ptp(points, axis=0).max())) > 0.5:
+        extent = float(np.ptp(points, axis=0).max())
+        if extent > 0.5:
             raise InvalidInput(f"points: expected metres, within 0.5 m, got {extent:g} (millimetres?)")
         normals = checks.unit(self.normals, "normals", (n, 3))
-        if self.components not in (1, 3):
-            raise InvalidInput(f"components: expected 1 or 3, got {checks.brief(self.components)}")
+        self._check_readings()
         others, distance = _nearest_taxels(points)
         if n > 1 and not distance.min() > 1e-5:
             i = int(distance.min(axis=1).argmin())
             raise InvalidInput(f"points[{i}]: expected a place of its own, got that of another taxel")
         third = np.median(distance[:, min(3, n - 1) - 1]) if n > 1 else np.inf
         pitch = checked_pitch(third if self.pitch == 0 else self.pitch)
-        near = distance < 1.6 * pitch
-        cosines = np.einsum("nkj,nj->nk", normals[others], normals)
-        wrong = np.flatnonzero((near * cosines).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
-        if len(wrong):
-            raise InvalidInput(
-                f"normals[{wrong[0]}]: expected one that points out of the link, got one against its neighbours'"
-            )
-        # A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
-        arms = points - points.mean(axis=0)
-        if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
-            raise InvalidInput(
-                "normals: expected ones that point out of the link, got ones that point into it"
-            )
+        _check_outward(points, normals, others, distance < 1.6 * pitch)
+        taxels = _records(points, self._axes(normals), others, distance, pitch)
+        width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
+        flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(FLAT)).all())
+        record = self._record(pitch, width, flat)
+        arrays = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
+        for name, array in arrays.items():
+            object.__setattr__(self, name, array)
+
+    def _check_readings(self) -> None:
+        """Raises InvalidInput for fields that cannot be those of a reading, or not together."""
+        if self.components not in (1, 3):
+            raise InvalidInput(f"components: expected 1 or 3, got {checks.brief(self.components)}")
+        if self.indentation and self.components != 1:
+            raise InvalidInput("components: expected 1, as an indentation is one number, got 3")
         checks.positive(self.threshold, "threshold")
+        most = self.full_scale
         if most is not None and not checks.positive(most, "full_scale") > self.threshold:
             raise InvalidInput(f"full_scale: expected more than the threshold, got {most:g}")
-        flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(FLAT)).all())
-        sigma_normal = math.radians(4 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
-        checks.sigma_point(self.sigma_point, "sigma_point")
-        checks.sigma_point(self.sigma_mount, "sigma_mount")
-        if self.stiffness is not None:
-            checks.positive(self.stiffness, "stiffness")
-            sigma = self.stiffness / 2 if self.sigma_stiffness is None else self.sigma_stiffness
-            object.__setattr__(self, "sigma_stiffness", checks.positive(sigma, "sigma_stiffness"))
+        if self.stiffness is None:
+            return
+        if self.indentation:
+            raise InvalidInput("stiffness: expected none, as the indentation is measured, got one")
+        checks.positive(self.stiffness, "stiffness")
+        sigma = self.stiffness / 2 if self.sigma_stiffness is None else self.sigma_stiffness
+        object.__setattr__(self, "sigma_stiffness", checks.positive(sigma, "sigma_stiffness"))
+
+    def _record(self, pitch: float, width: float, flat: bool) -> NDArray[np.void]:
+        """Returns what all taxels have in common (1,); raises InvalidInput. `width`: of the surface [m]."""
         record = np.ones(1, dtype=SURFACE)
-        taxels = _records(points, self._axes(normals), others, distance, pitch)
         for name, value in (("scale", self.scale), ("offset", self.offset)):
             shape = (self.components,) if checks.ndim(value) else ()
             record[name][0, : self.components] = checks.finite(value, name, shape)
@@ -151,20 +175,32 @@ class TactileSurface:
             raise InvalidInput(
                 f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
             )
-        # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
-        # pressed more; so the surface may also be turned.
-        width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
+        sigma_normal = self._usual_sigma_normal(flat) if self.sigma_normal is None else self.sigma_normal
+        checks.sigma_point(self.sigma_point, "sigma_point")
+        checks.sigma_point(self.sigma_mount, "sigma_mount")
+        side = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
         record["threshold"] = self.threshold
-        record["full_scale"] = np.inf if most is None else most
-        record["pitch"] = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
+        record["full_scale"] = np.inf if self.full_scale is None else self.full_scale
+        record["pitch"] = side
         record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
-        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
+        # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
+        # pressed more; so the surface may also be turned. How far a gel gives way is measured.
+        turns = 0.0 if self.indentation else 4 / width**2
+        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, turns], 3)
         record["noise"] = self.noise
         record["variance_point"] = self.sigma_point**2
-        record["flat"] = flat
-        arrays = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
-        for name, array in arrays.items():
-            object.__setattr__(self, name, array)
+        record["indentation"] = self.indentation
+        # A gel hangs beside an object, and a pad may bear one that it does not feel, so neither has untouched taxels.
+        record["flat"] = flat and not self.is_pad and not self.indentation
+        return record
+
+    def _usual_sigma_normal(self, flat: bool) -> float:
+        """Returns the standard deviation of a contact's normal where none is given [rad]."""
+        if self.is_pad:
+            return math.radians(45)
+        if self.indentation:
+            return math.radians(2)
+        return math.radians(4 if flat else 0.8)
 
     def _axes(self, normals: Array) -> Array:
         """Returns (n, 3, 3) the taxels' axes, in columns; raises InvalidInput for an x along the normal."""
@@ -193,6 +229,11 @@ class TactileSurface:
         return cls(points=points, normals=normals, x_axes=x_axes, **fields)
 
     @property
+    def is_pad(self) -> bool:
+        """Whether it has one taxel, so that it is touched somewhere on it or not."""
+        return len(self.points) == 1
+
+    @property
     def places(self) -> tuple[int, ...]:
         """The rows and columns of a grid, or the number of taxels."""
         return (len(self.points),) if self.layout is None else self.layout[1:]
@@ -203,15 +244,21 @@ class TactileSurface:
         return self.places if self.components == 1 else (*self.places, 3)
 
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
-        """Returns readings of the surface's `shape` as floats, NaN for none; raises InvalidInput for another shape."""
+        """Returns readings of the surface's `shape` as floats, NaN for none; raises InvalidInput for another shape.
+
+        An image of indentations may be finer than the grid: it is averaged over each taxel's block of pixels.
+        """
         try:
             array = np.asarray(values)
         except ValueError:  # rows of different length
             array = np.zeros(0)
+        if self.indentation and array.dtype.kind in "fiu":
+            array = _means_of_blocks(array, self.shape)
         if array.dtype.kind not in "fiub" or array.shape != self.shape:
-            raise InvalidInput(
-                f"{name}: expected numbers of shape {self.shape}, got {checks.brief(values)} of shape {array.shape}"
-            )
+            expected = f"expected numbers of shape {self.shape}"
+            if self.indentation:
+                expected += f", or an image with {PIXELS}"
+            raise InvalidInput(f"{name}: {expected}, got {checks.brief(values)} of shape {array.shape}")
         return array.astype(np.float64, copy=False)
 
     def cells(self, values: Array) -> Array:
@@ -221,38 +268,66 @@ class TactileSurface:
     def touch(self, values: ArrayLike, baseline: ArrayLike = 0.0) -> "SkinTouch":
         """Returns which taxels are pressed, which are untouched, and the patches, by readings of the surface's `shape`.
 
-        `baseline`: the scaled readings while untouched, a number or of that shape. A taxel with NaN or infinity in
-        either is neither. Raises InvalidInput.
+        `baseline`: the scaled readings while untouched, a number or as the readings are. A taxel with NaN or infinity
+        in either is neither. Raises InvalidInput.
         """
-        if np.shape(baseline) not in ((), self.shape):
-            raise InvalidInput(
-                f"baseline: expected a number or shape {self.shape}, got shape {np.shape(baseline)}"
-            )
-        bases = np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape)
+        bases = (
+            np.full(self.shape, baseline) if np.ndim(baseline) == 0 else self.reading(baseline, "baseline")
+        )
         return self.sensed(self.cells(self.reading(values)), self.cells(bases))
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
+        from handsight._kernels.touch.taxels import sense_taxels  # importing numba takes half a second
+
         n, c = values.shape
         rise = np.empty((n + 1, c))
         states = np.empty((2, n + 1), dtype=np.int64)
         patches = np.empty(MAX_PATCHES, dtype=PATCH)
-        count = self._kernel()(values, baseline, self.record, self.taxels, rise, states, patches)
-        if self.kind == "taxels":
-            sink(patches[:count], self, GIVES)
-        return SkinTouch(self, rise, states, patches[:count])
+        taxels = self.taxels
+        if self.indentation:
+            scaled = self.record["scale"][0, 0] * (values[:, 0] - self.record["offset"][0, 0])
+            depth = scaled - baseline[:, 0]
+            taxels = self._indented(depth)
+            values = np.where(self._alone(depth), np.nan, values[:, 0])[:, None]
+        count = sense_taxels(values, baseline, self.record, taxels, rise, states, patches)
+        patches = patches[:count]
+        sink(patches, self, GIVES)
+        if self.indentation or self.is_pad:
+            # A patch is one contact, and what hangs between gel and object does not say where the object is not.
+            patches["flat"] = False
+            states[0][states[0] == UNTOUCHED] = FAR
+        return SkinTouch(self, rise, states, patches)
 
-    @staticmethod
-    def _kernel() -> Callable[..., int]:
-        from handsight._kernels.touch.taxels import sense_taxels  # importing numba takes half a second
+    def _alone(self, depth: Array) -> Mask:
+        """Returns which taxels (n,) are deep (n,) [m] without any of their neighbours being so: single wrong pixels."""
+        touched = np.append(depth >= self.threshold, False)
+        return np.asarray(touched[:-1] & ~touched[self.taxels["near"]].any(axis=1))
 
-        return sense_taxels
+    def _indented(self, depth: Array) -> NDArray[np.void]:
+        """Returns the taxels (n,) where they are pressed to by depths (n,) [m], with the normals of the surface there.
+
+        What is beyond the layout's edge is of no interest, as places and not forces are measured.
+        """
+        taxels = self.taxels.copy()
+        near = taxels["near"]
+        known = np.append(np.isfinite(depth), False)
+        depths = np.where(known, np.append(depth, 0.0), 0.0)
+        around = depths[near].sum(axis=1) / known[near].sum(axis=1).clip(min=1)
+        depths[:-1] = np.where(known[:-1], depths[:-1], around)
+        rises = np.where(known[near], depths[near] - depths[:-1, None], 0.0)
+        slopes = np.einsum("nak,nk->na", taxels["slope"], rises)
+        tilts = np.einsum("nia,na->ni", taxels["axes"][:, :, :2], slopes)
+        taxels["point"] -= depths[:-1, None] * self.normals
+        taxels["axes"][:, :, 2] = _unit(self.normals + tilts)
+        taxels["edge"] = 0.0
+        return taxels
 
 
 def checked_pitch(pitch: Any) -> float:
     """Returns a distance from taxel to taxel [m]; raises InvalidInput."""
-    if not 2e-4 <= checks.finite(pitch, "pitch", ()) <= 0.05:
-        raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {pitch:g}")
+    if not 2e-4 <= checks.finite(pitch, "pitch", ()) <= LARGEST_PITCH:
+        raise InvalidInput(f"pitch: expected metres from 0.0002 to {LARGEST_PITCH:g}, got {pitch:g}")
     return float(pitch)
 
 
@@ -264,6 +339,35 @@ def grid_places(rows: int, columns: int, pitch: float) -> Array:
         raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {rows * columns}")
     x, y = (checked_pitch(pitch) * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
     return np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=2)
+
+
+def block(sizes: tuple[int, ...], shape: tuple[int, ...]) -> tuple[int, int] | None:
+    """Returns the pixels (rows, columns) that a taxel of a grid has in an image; None where they are no whole numbers.
+
+    `sizes`: of the image; `shape`: rows and columns of the grid.
+    """
+    if len(sizes) != 2 or len(shape) != 2:
+        return None
+    rows, rest_of_rows = divmod(sizes[0], shape[0])
+    columns, rest_of_columns = divmod(sizes[1], shape[1])
+    if rest_of_rows or rest_of_columns or not rows or not columns:
+        return None
+    return rows, columns
+
+
+def _means_of_blocks(image: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Returns means of an image over blocks of pixels, NaN where less than half of a block is known.
+
+    What is no image of the grid, of this `shape`, is returned as it is.
+    """
+    sides = block(image.shape, shape)
+    if sides is None or sides == (1, 1):
+        return image
+    blocks = image.reshape(shape[0], sides[0], shape[1], sides[1])
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(2 * count >= math.prod(sides), total / count.clip(min=1), np.nan)
 
 
 def _unit(vectors: Array) -> Array:
@@ -281,6 +385,34 @@ def _nearest_taxels(points: Array) -> tuple[Indices, Array]:
     distance[others == np.arange(n)[:, None]] = -1.0  # itself, which goes first
     order = np.lexsort((others, distance), axis=1)[:, 1:]  # equally far ones by their number
     return np.take_along_axis(others, order, axis=1), np.take_along_axis(distance, order, axis=1)
+
+
+def _check_outward(points: Array, normals: Array, others: Indices, near: Mask) -> None:
+    """Raises InvalidInput for normals that point into the link. `near`: which of the `others` are neighbours (n, k)."""
+    cosines = np.einsum("nkj,nj->nk", normals[others], normals)
+    wrong = np.flatnonzero((near * cosines).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
+    if len(wrong):
+        raise InvalidInput(
+            f"normals[{wrong[0]}]: expected one that points out of the link, got one against its neighbours'"
+        )
+    # A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
+    arms = points - points.mean(axis=0)
+    if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
+        raise InvalidInput("normals: expected ones that point out of the link, got ones that point into it")
+
+
+def _slope_weights(taxels: NDArray[np.void], pitch: float) -> Array:
+    """Returns (n, 2, 8) the weights of the neighbours' rises over a taxel in the slope along its x and y.
+
+    The slope is that of least squares, with a weak pull to none; on a grid it is a central difference.
+    """
+    near = taxels["near"]
+    there = near < len(taxels)
+    points = np.append(taxels["point"], np.zeros((1, 3)), axis=0)
+    arms = (points[near] - taxels["point"][:, None]) @ taxels["axes"][:, :, :2]
+    arms[~there] = 0.0
+    transposed = arms.swapaxes(1, 2)
+    return np.linalg.solve(transposed @ arms + 1e-2 * pitch**2 * np.eye(2), transposed)
 
 
 def _records(points: Array, axes: Array, others: Indices, distance: Array, pitch: float) -> NDArray[np.void]:
@@ -304,14 +436,23 @@ def _records(points: Array, axes: Array, others: Indices, distance: Array, pitch
         if not len(near):
             continue
         row["edge"] = _unit(points[near] - points[i]).mean(axis=0)
-        arms, turns = ((values[near] - values[i]) @ axes[i][:, :2] for values in (points, normals))
+        arms = (points[near] - points[i]) @ axes[i][:, :2]
         for k, along in enumerate((-arms[:, 0], arms[:, 0], -arms[:, 1], arms[:, 1])):
             cosine = along / np.linalg.norm(arms, axis=1).clip(min=1e-12)
             row["beside"][k] = near[cosine.argmax()] if cosine.max() > 0.85 else n
-        # Least squares, across the normal, with a weak pull to a flat surface.
-        K = np.linalg.solve(arms.T @ arms + 1e-2 * pitch**2 * np.eye(2), arms.T @ turns)
-        row["bend"] = axes[i][:, :2] @ K.T @ axes[i][:, :2].T
+    records["slope"] = _slope_weights(records, pitch)
+    records["bend"] = _bends(records)
     return records
+
+
+def _bends(taxels: NDArray[np.void]) -> Array:
+    """Returns (n, 3, 3) the change of the normal by that of the point, across the normal [1/m]."""
+    near = taxels["near"]
+    across = taxels["axes"][:, :, :2]
+    normals = np.append(taxels["axes"][:, :, 2], np.zeros((1, 3)), axis=0)
+    turns = (normals[near] - normals[:-1, None]) @ across
+    K = taxels["slope"] @ turns
+    return np.asarray(across @ K.swapaxes(1, 2) @ across.swapaxes(1, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,8 +499,7 @@ class SkinTouch:
         Of flat patches they are at most `MAX_CONTACTS` pressed taxels, of the others their centres of pressure.
         `T_palm_frame` (4, 4): the pose of the link. `by_error` (6, j): the shift [m] and the turn [rad] of the link by
         one standard deviation of each of j joint errors. `without`: the number of a patch to leave out. The covariances
-        of flat patches are without the error that the taxels have in common (`sigmas_common`), but for its turn. Those
-        of a gel's contacts have it as often as there are contacts, as together they do not average it.
+        of flat patches are without the error that the taxels have in common (`sigmas_common`), but for its turn.
         """
         surface = self.surface
         T = se3.check(T_palm_frame, "T_palm_frame")
@@ -373,16 +513,17 @@ class SkinTouch:
         C = np.zeros((n + len(patches), 6, 6))
         if n:
             C[:n] = self._covariances(chosen)
-        shared = patches["contacts"][:, None, None]
-        C[n:] = patches["covariance"] + shared * np.diag(record["variance_mount"])
+        C[n:] = patches["covariance"] + np.diag(record["variance_mount"])
         points = se3.apply(T, np.concatenate([surface.points[chosen], patches["point"]]))
         normals = np.concatenate([-surface.normals[chosen], patches["normal"]]) @ T[:3, :3].T
         C = se3.rotate_covariance(T[:3, :3], C)
-        for k in range(n, len(C) if by_error is not None else n):
+        if by_error is None:
+            return Contacts(points, normals, covariance=C)
+        for k in range(n, len(C)):
             J = np.array(by_error)
             J[:3] -= se3.skew(points[k] - T[:3, 3]) @ J[3:]
             J[3:] = -se3.skew(normals[k]) @ J[3:]
-            C[k] += shared[k - n] * J @ J.T
+            C[k] += J @ J.T
         return Contacts(points, normals, covariance=C)
 
     def _covariances(self, chosen: Indices) -> Array:

@@ -102,7 +102,9 @@ class SensorFaults:
         if was_touched and at_rest >= MANY and at_most < SELDOM:
             reads = f"reads {rest:g} at rest and {low / scale:g} where it is touched, which is inverted"
             return f"{reads}: set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
-        in_newtons = surface.components == 3 or (scale == 1 and surface.threshold < 1)
+        in_newtons = surface.components == 3 or (
+            scale == 1 and surface.threshold < 1 and not surface.indentation
+        )
         rise = rise_of(surface, read)
         if in_newtons and rise > MAX_FORCE:
             more = f"rises by up to {rise:.4g} where at most {MAX_FORCE:g} N on a taxel are expected"

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from handsight.checks import Array
+from handsight.contact.taxels import PIXELS, block
 from handsight.messages.paths import at, numbers
 from handsight.messages.topics import MessageRejected, RosMessage, TaxelSource
 
@@ -20,8 +21,14 @@ def readings(message: RosMessage, source: TaxelSource) -> Array:
         value = at(value, f"sensors[name={source.name}]")
     found, sizes = numbers(value)
     expected = f"expected {' x '.join(map(str, source.shape))} taxels"
-    # A list of vectors is of the taxels one after the other, those of a grid too.
-    if len(sizes) > 1 and sizes not in (source.shape, (math.prod(source.shape[:-1]), source.shape[-1])):
+    if source.indentation:
+        expected += f", or an image with {PIXELS}"
+    if source.indentation and block(sizes, source.shape) is not None:
+        source = source._replace(shape=sizes)
+    # A list of vectors is of the taxels one after the other, those of a grid too, and so is an image of a bent gel.
+    allowed = source.shape, (math.prod(source.shape[:-1]), source.shape[-1])
+    bent = source.indentation and len(source.shape) == 1
+    if len(sizes) > 1 and sizes not in allowed and not bent:
         raise MessageRejected(f"{expected}, got {' x '.join(map(str, sizes))}")
     if not found.size:
         why = "as drivers send them without a calibration of the sensor"

@@ -66,6 +66,7 @@ class TaxelSource(NamedTuple):
     name: str  # the surface's
     field: str  # path into the message; empty: the message is nothing but the readings
     shape: tuple[int, ...]  # of its readings, such as rows and columns
+    indentation: bool = False  # whether they may be an image with more pixels
 
 
 class RawMessage(NamedTuple):
@@ -193,6 +194,15 @@ class TopicReport:
             yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 
 
+def _taxel_source(name: str, rig: Rig) -> TaxelSource:
+    """Returns where the readings of a tactile surface are."""
+    path = rig.topics.skin_fields.get(name, "")
+    surface = rig.skin.get(name)
+    if surface is None:
+        return TaxelSource(name, path, (0, 0))
+    return TaxelSource(name, path, surface.shape, surface.indentation)
+
+
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     """Returns an empty report for each topic of the rig, by name."""
     topics = rig.topics
@@ -210,9 +220,8 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
         tips = {finger: bodies.get(finger, "") for finger in fingers}
         wanted = f"finger {', '.join(fingers)}: no contacts"
         found.append(TopicReport(topic, "contact", CONTACTS, tips=tips, wanted=wanted))
-    shapes = {name: surface.shape for name, surface in rig.skin.items()}
     for topic, names in _by_topic(topics.skin).items():
-        sources = [TaxelSource(n, topics.skin_fields.get(n, ""), shapes.get(n, (0, 0))) for n in names]
+        sources = [_taxel_source(name, rig) for name in names]
         if topic == joints.name:  # a message of the whole hand
             joints.surfaces = tuple(sources)
             continue

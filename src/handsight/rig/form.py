@@ -21,7 +21,6 @@ from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.calibration import GRAVITY_RANGE
 from handsight.contact.fingertips import LARGEST, MIN_FORCE
-from handsight.contact.gels import block_of
 from handsight.contact.taxels import TactileSurface
 from handsight.errors import HandsightError, InvalidInput
 from handsight.hand import Hand
@@ -253,9 +252,6 @@ class SkinForm(Form, kw_only=True):
 
     frame: Text | None = None
     pose: LinkPoseForm | None = None
-    kind: Annotated[
-        Literal["taxels", "gel", "binary"] | None, key("gel: indentations [m]; binary: touched somewhere")
-    ] = None
     topic: Text | None = None
     message_field: Annotated[Text | None, key("path to its readings in a message, as sensors[0].forces")] = (
         field(name="field", default=None)
@@ -269,9 +265,8 @@ class SkinForm(Form, kw_only=True):
     unit: Literal["m", "mm"] | None = None
     urdf: Text | None = None
     layout: Text | None = None
-    image: Annotated[tuple[int, int] | None, key("rows and columns of a gel's pixels")] = None
-    channels: Annotated[int | None, key("numbers in a reading of a binary pad")] = None
     components: Literal[1, 3] | None = None
+    indentation: Annotated[bool | None, key("true: readings are how deep it is pressed in [m]")] = None
     threshold: Positive
     full_scale: Positive | None = None
     scale: float | list[float] | None = None
@@ -299,11 +294,6 @@ class SkinForm(Form, kw_only=True):
             )
         if self.frame is None and self.urdf is None:
             raise ValueError("frame: expected the link that the taxels are on, got none")
-        for name, kind in (("image", "gel"), ("channels", "binary")):
-            if getattr(self, name) is not None and self.kind != kind:
-                raise ValueError(f"{name}: expected beside kind: {kind} only, got {self.kind or 'taxels'}")
-        if self.stiffness is not None and self.kind in ("gel", "binary"):
-            raise ValueError(f"stiffness: expected beside kind: taxels only, got {self.kind}")
         if self.sigma_stiffness is not None and self.stiffness is None:
             raise ValueError("sigma_stiffness: expected beside stiffness, got no stiffness")
         if self.rows is not None:
@@ -314,15 +304,7 @@ class SkinForm(Form, kw_only=True):
         given = self.given()
         places = {name: given.pop(name, None) for name in PLACES}
         if self.rows is not None:
-            rows = self.rows
-            columns = places["columns"]
-            if self.kind == "gel":
-                given["image"] = (rows, columns)
-                block = block_of(rows, columns)
-                given["pitch"] = block * checks.positive(self.pitch or 0.0, "pitch")
-                rows = rows // block
-                columns = columns // block
-            found = layouts.Layout.bent(rows, columns, given.get("pitch"), self.radius)
+            found = layouts.Layout.bent(self.rows, places["columns"], given.get("pitch"), self.radius)
         elif self.taxels is not None:
             found = layouts.Layout.of(self.taxels, "taxels", UNITS[self.unit or "m"])
         elif self.file is not None:
@@ -331,15 +313,21 @@ class SkinForm(Form, kw_only=True):
             found = layouts.from_urdf(self.urdf, hand)
         else:
             found = layouts.by_name(self.layout or "", self.pitch, self.radius)
-        kind = self.kind or "taxels"
-        return found.surface((self.pose or LinkPoseForm()).matrix(), hand, given, kind)
+        return found.surface((self.pose or LinkPoseForm()).matrix(), hand, given)
 
 
 PLACES = (
-    *("kind", "pose", "topic", "message_field", "rows", "columns", "radius", "taxels", "file"),
+    *("pose", "topic", "message_field", "rows", "columns", "radius", "taxels", "file"),
     *("unit", "urdf", "layout"),
 )
 """Keys of a `SkinForm` that are no fields of a surface."""
+GONE = {
+    "kind": "for a gel write indentation: true; for a pad that is touched somewhere rows: 1, columns: 1, and as pitch "
+    "its diagonal; else leave it out",
+    "image": "rows and columns are those of the taxels; an image is averaged over blocks of pixels",
+    "channels": "have the driver publish the size of the change, which is one number",
+}
+"""Keys of a tactile surface that are refused, and what to do instead."""
 
 
 class VisionNoiseForm(Form):

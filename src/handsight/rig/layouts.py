@@ -12,8 +12,6 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight.checks import Array
-from handsight.contact.gels import Gel
-from handsight.contact.pads import Pad
 from handsight.contact.taxels import MOST_TAXELS, Grid, TactileSurface, grid_places
 from handsight.errors import InvalidInput
 from handsight.files import read_bytes
@@ -26,7 +24,6 @@ LAYOUTS = Path(__file__).parents[1] / "data/layouts"
 """A YAML file for each product without published coordinates: `MAKER-VARIANT.yaml`."""
 ASSUMED_PITCH = 0.002
 """From taxel to taxel where nobody has measured it yet [m]."""
-KINDS = {each.kind: each for each in (TactileSurface, Gel, Pad)}
 
 
 class Product(msgspec.Struct, forbid_unknown_fields=True):
@@ -88,10 +85,8 @@ class Layout(NamedTuple):
         points = radius * (normals - [0, 0, 1]) + [0, 1, 0] * places
         return cls(points, normals, x_axes, components)
 
-    def surface(
-        self, T_frame_sensor: Array, hand: Hand | None, given: dict[str, Any], kind: str = "taxels"
-    ) -> TactileSurface:
-        """Returns the surface of a kind with the fields that are given; raises InvalidInput."""
+    def surface(self, T_frame_sensor: Array, hand: Hand | None, given: dict[str, Any]) -> TactileSurface:
+        """Returns the surface with the fields that are given; raises InvalidInput."""
         T = self.T_frame_sensor @ T_frame_sensor
         points = se3.apply(T, self.points)
         fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
@@ -114,7 +109,7 @@ class Layout(NamedTuple):
             fields["x_axes"] = self.x_axes @ T[:3, :3].T
         if self.grid is not None:
             fields["layout"] = Grid(T, *self.grid)
-        return KINDS[kind](points=points, **fields)
+        return TactileSurface(points=points, **fields)
 
 
 def from_file(name: str, folder: Path, unit: str | None) -> Layout:

@@ -11,7 +11,7 @@ from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingE
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.msgspec_errors import FieldPath
-from handsight.rig.form import VERSION, FramesForm, JointStatesForm, RigForm, SkinForm, WorldForm, keys
+from handsight.rig.form import GONE, VERSION, FramesForm, JointStatesForm, RigForm, SkinForm, WorldForm, keys
 from handsight.rig.rig import NotUnique, Rig, Table, Topics
 from handsight.rig.yaml_file import YamlFile
 
@@ -22,6 +22,7 @@ def load(path: Path) -> Rig:
     version = file.values.get("version")
     if isinstance(version, int | float) and version != VERSION:  # its other keys are that version's
         raise file.error(("version",), f"expected {VERSION}, got {checks.brief(version)}")
+    _check_gone(file)
     form = file.read(RigForm)
     world = form.world or WorldForm()
     hand = _hand(form, file)
@@ -49,6 +50,18 @@ def load(path: Path) -> Rig:
         )
     except NotUnique as error:
         raise file.error(error.path, error.message) from None
+
+
+def _check_gone(file: YamlFile) -> None:
+    """Raises InvalidFile for a key that was removed, with what to write instead."""
+    skin = file.values.get("skin")
+    if not isinstance(skin, Mapping):
+        return
+    for name, surface in skin.items():
+        found = [key for key in GONE if isinstance(surface, Mapping) and key in surface]
+        for key in found:
+            expected = f"expected no such key, which was removed ({GONE[key]})"
+            raise file.error(("skin", name, key), f"{expected}, got {checks.brief(surface[key])}")
 
 
 def _check_joints(

@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Gel, Sphere, TactileSurface
+from handsight.contact import Sphere, TactileSurface
 from handsight.files import text_file
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
@@ -105,13 +105,10 @@ def _surface(name: str, rig: Rig, file: str | None) -> Values:
     """Returns the values of a grid, or of taxels at any places, which are in a file or in the text."""
     surface = rig.skin[name]
     given: Values = dict.fromkeys(("pose", "rows", "columns", "taxels", "layout")) | {"file": file}
-    given["kind"] = None if surface.kind == "taxels" else surface.kind
+    given["indentation"] = surface.indentation or None
     if surface.layout is not None:
         T, given["rows"], given["columns"] = surface.layout
         given["pose"] = se3.position_quaternion(T)
-        if isinstance(surface, Gel) and surface.image is not None:
-            given["rows"], given["columns"] = surface.image
-            given |= {"image": None, "pitch": surface.pitch / surface.block}
     elif file is None:
         given["taxels"] = _table(surface)
     return _values(form.SkinForm, surface, **given, message_field=rig.topics.skin_fields.get(name))

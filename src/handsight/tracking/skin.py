@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from handsight._kernels.touch.taxel_records import FAULTS, LOW, PATCH, PRESSED, WATCHED
 from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
-from handsight.contact import Contacts, Pad, SkinTouch
+from handsight.contact import Contacts, SkinTouch
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.forces import LINK_TAXELS
@@ -191,14 +191,13 @@ class SkinSensors:
                 expected = "expected newtons, after the rig's scale and offset"
                 came = f"a force of {touch.patches['total'][0]:.0f} (counts without a scale?)"
                 raise InvalidInput(f"observation.skin[{name!r}]: {expected}, got {came}")
-            finger, is_pad = self._fingers[name], isinstance(surface, Pad)
-            pressed = is_pad and known.count >= TAXELS.min_rest and len(touch.patches) > 0
-            watched[name] = known.after(readings, touch, untouched=not touched and not pressed)
-            if is_pad and (finger in observation.wrenches or finger in observation.contacts):
+            finger = self._fingers[name]
+            watched[name] = known.after(readings, touch, untouched=not touched)
+            if surface.is_pad and (finger in observation.wrenches or finger in observation.contacts):
                 continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
-            if finger is not None and surface.kind == "taxels" and known.count < TAXELS.min_rest:
+            if finger is not None and known.count < TAXELS.min_rest:
                 strongest = touch.rise[touch.states[0] > LOW, -1]  # without filled taxels
                 if not strongest.max(initial=0.0) >= SURE_THRESHOLDS * surface.threshold:  # they are offsets
                     touch = surface.sensed(readings, known.baseline + touch.rise[:-1])

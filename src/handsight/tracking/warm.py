@@ -1,7 +1,7 @@
 """Kernels compiled, or loaded, ahead of their first use, by solving small problems through the functions users call."""
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.contact import (
     Contacts,
-    Gel,
     Sphere,
     TactileSurface,
     contact_from_wrench,
@@ -96,9 +95,9 @@ def track() -> None:
     if hand is None:
         return
     fingers = {name: Finger(frame=name, T_frame_surface=np.eye(4), tip=TIP) for name in hand.tips}
-    grid = partial(TactileSurface.grid, frame="left", T_frame_grid=np.eye(4), pitch=SIGMA, threshold=0.5)
-    taxels = grid(rows=2, columns=2)
-    Gel.grid(rows=3, columns=3, **grid.keywords).touch(np.ones((3, 3)))
+    taxels = TactileSurface.grid(
+        frame="left", T_frame_grid=np.eye(4), rows=2, columns=2, pitch=SIGMA, threshold=0.5
+    )
     rig = Rig(hand=hand, fingers=fingers, table=Table(height=0), skin={"left": taxels})
     model, contacts = _touched_box()
     follower = Follower(rig, model, TrackerSettings())

@@ -257,10 +257,8 @@ def put_patches(
     for k in range(len(numbers)):
         patch, contact, i = patches[k], contacts[numbers[k]], numbers[k]
         contact.point[:], contact.normal[:] = patch.point, patch.normal
-        # The tip's errors are common to all contacts of its surface, and count as often as there are contacts.
-        contact.covariance[:] = patch.covariance / patch.contacts
+        contact.covariance[:] = patch.covariance
         _to_palm(fingers[i], Ts_palm_tip[i], Ts_palm_tip[i], by_error[i], contact)
-        contact.covariance[:] *= patch.contacts
         if contact.reason != CONTACT:
             force, n = mul(matrix(Ts_palm_tip[i]), vector(patch.force)), vector(contact.normal)
             store(sub(force, scale(n, dot(force, n))), contact.load[:3])

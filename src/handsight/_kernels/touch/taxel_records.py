@@ -7,6 +7,7 @@ TAXEL = np.dtype([
     ("point", float, 3),  # in the link [m]
     ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
     ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
+    ("slope", float, (2, NEAR)),  # weights of the neighbours' rises over it in the slope along its x and y [1/m]
     ("edge", float, 3),  # mean unit vector to its neighbours: 0 amid them, of length 1 on one side of them
     ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
     ("wide", np.int64, WIDE),  # those up to two taxels away
@@ -18,7 +19,8 @@ SURFACE = np.dtype([
     *(("noise", float), ("variance_point", float), ("variance_normal", float)),
     ("pitch", float),  # side of a taxel [m]
     ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
-    ("flat", bool),  # whether all normals are parallel
+    ("flat", bool),  # whether all normals are parallel, and an untouched taxel says that the object is not there
+    ("indentation", bool),  # whether readings are indentations [m]
 ])  # fmt: skip
 """What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
 PATCH = np.dtype([
@@ -27,7 +29,6 @@ PATCH = np.dtype([
     ("torque", float),  # NaN, as the force is, unless there are three components, none at its full scale
     ("wrench", float, 6),  # the force, and its torque about the link's origin [N m]
     ("total", float),  # sum of the readings along the normals
-    ("contacts", float),  # the number of contacts that have so much in common that they count as one
     ("flat", bool),
 ])  # fmt: skip
 """Taxels that touch each other, and the contact at their centre of pressure, in the link."""

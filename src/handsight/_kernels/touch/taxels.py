@@ -39,6 +39,9 @@ class TaxelOptions(NamedTuple):
     as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
     wide: float = 0.125  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.06  # sigma of the normal by such a patch, as a share of the normals' spread
+    deep: float = 0.5
+    """Indentations count that are deeper than this share of a patch's deepest: on an elastic half space under a sphere,
+    the edge of the contact is half as deep as its middle (Hertz). Farther out a gel hangs beside the object."""
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
     mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
     alive: float = 0.75
@@ -161,12 +164,19 @@ def _measure(
     Weights are the forces along the mean normal. Along the taxels' own, those that face a shear would bear more: a load
     at the limit of friction μ would turn the normal towards itself by μ r² / (2 R²), with r the patch's radius (root
     mean square) and R the tip's, and seem within its cone.
+
+    Of indentations, the contact may be anywhere in the patch, with the normal there: its covariance is the patch's
+    second moment.
     """
     m, last, cell = len(members), rise.shape[1] - 1, record.pitch
     share, zero = np.empty(m), (0.0, 0.0, 0.0)
     for k in range(m):
         share[k] = max(rise[members[k], last], 0.0)
-    patch.total, patch.flat, patch.contacts = share.sum(), True, 1.0
+    patch.total, patch.flat = share.sum(), True
+    deepest = share.max()
+    if record.indentation:
+        for k in range(m):
+            share[k] = share[k] if share[k] >= TAXELS.deep * deepest else 0.0
     if last == 2:
         mean = zero
         for k in range(m):
@@ -210,6 +220,8 @@ def _measure(
         arm, own = sub(vector(taxels[i].point), near_part), vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
+        if record.indentation:
+            sigma = math.sqrt(share[k])
         store(scale(_across(arm, normal), sigma), rows[k, :3])
         store(scale(_across(own, normal), -sigma), rows[k, 3:])
         for a in range(9):
@@ -220,11 +232,13 @@ def _measure(
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
+    sampled = TAXELS.sampled if len(taxels) > 1 else math.sqrt(1 / 12)  # anywhere on a single taxel
+    wide = 0.0 if record.indentation else TAXELS.wide
     turned = record.variance_normal + TAXELS.uneven**2 * spread + TAXELS.hidden**2 * dot(turn, turn)
     store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
     for a in range(3):
-        rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
-        rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
+        rows[m + a, a] = sampled * cell * (share**2).sum()
+        rows[m + 3 + a, :3] = wide / cell * second[a]
         rows[m + 7 + a, 3 + a] = math.sqrt(turned)
         rows[m + 10 + a, a] = TAXELS.hidden * norm(shift)
     for k in range(m, m + 13):
@@ -232,6 +246,8 @@ def _measure(
         store(shift, rows[k, :3])
         store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
     height = record.variance_point * (share**2).sum() + (TAXELS.hidden * sag) ** 2
+    if record.indentation:
+        height += (record.noise * deepest) ** 2
     store(scale(normal, math.sqrt(height)), rows[m + 13, :3])
     for a in range(6):
         for b in range(6):
@@ -266,12 +282,13 @@ def watch_taxels(
     """Returns the number of readings at rest so far, and updates `watched` (n,) and `baseline` (n, c).
 
     `readings` (n, c) and their `states` and `rise` are those of `sense_taxels`; `rest`: whether no other sensor
-    touches something. The surface is at rest where, besides, no two taxels of a patch are touched. The baseline is NaN
-    for taxels that are left out, 0 before there are enough readings.
+    touches something. The surface is at rest where, besides, no two taxels of a patch are touched, nor all. The
+    baseline is NaN for taxels that are left out, 0 before there are enough readings.
     """
     record, n, last, moving = surface[0], readings.shape[0], readings.shape[1] - 1, 0
     touched = (states[1, :n] >= 0) & (rise[:n, last] >= record.threshold)
-    rest = rest and (count < TAXELS.min_rest or touched.sum() <= 1 + states[1].max())
+    few = touched.sum() <= 1 + states[1].max() and touched.sum() < n
+    rest = rest and (count < TAXELS.min_rest or few)
     count, varied = count + rest, 0
     for i in range(n):
         w, changed = watched[i], False
