@@ -28,7 +28,7 @@ def pad_of(finger, **fields):
     T, axes = finger.T_frame_surface, np.asarray(finger.tip.semi_axes)
     direction = np.array([0, -0.9, np.sqrt(1 - 0.9**2)])
     normal = T[:3, :3] @ (direction / axes)
-    given = {"frame": finger.frame, "threshold": 0.25, "pitch": 0.02}
+    given = {"frame": finger.frame, "threshold": 0.5, "pitch": 0.02}
     given |= {"sigma_point": 2e-3, "sigma_normal": np.deg2rad(60)}
     return TactileSurface(points=se3.apply(T, direction * axes), normals=normal[None], **given | fields)
 
@@ -118,7 +118,7 @@ def test_a_gel_on_a_tip_is_the_fingers_contact(can):
     T = se3.compose(R, finger.T_frame_surface[:3, 3] + 0.01 * R[:, 2])
     gel = pad_scenes.gel(frame=finger.frame, T_frame_grid=T)
     rig = replace(can.rig, skin={name: gel})
-    image = np.full(gel.shape, 6e-4)
+    image = np.full(gel.shape, 5e-4)
     observation = replace(can.observations[-1], skin={name: image}, wrenches={})
     skin = SkinSensors(rig).observed(observation, touched=True)
     assert not skin.bears  # it is one patch, the finger's
@@ -128,7 +128,7 @@ def test_a_gel_on_a_tip_is_the_fingers_contact(can):
     contacts = touch.contacts
     T_palm = skin.touches[name][1].placed[0] @ T
     local = se3.apply(se3.inverse(T_palm), contacts.points_palm)
-    np.testing.assert_allclose(local[:, 2], -6e-4, atol=1e-6)
+    np.testing.assert_allclose(local[:, 2], -5e-4, atol=1e-6)
     normal, J = T_palm[:3, 2], touch.by_error[0, :3]
     variances = np.einsum("i,nij,j->n", normal, contacts.covariance[:, :3, :3], normal)
     common = finger.sigma_point**2 + ((normal @ J) ** 2).sum()
@@ -142,7 +142,7 @@ def gelled(can):
     outward = -T[:3, 3] + (T[:3, 3] @ T[:3, 2]) * T[:3, 2]  # from the can's axis to the palm's origin
     z = -outward / np.linalg.norm(outward)
     R = np.column_stack([np.cross(T[:3, 2], z), T[:3, 2], z])
-    T_palm_gel = se3.compose(R, T[:3, 3] - (0.033 - 6e-4) * z)
+    T_palm_gel = se3.compose(R, T[:3, 3] - (0.033 - 5e-4) * z)
     gel = pad_scenes.gel(frame=can.rig.hand.palm, T_frame_grid=T_palm_gel, scale=-1e-3)
     rng, observations = np.random.default_rng(1), []
     rest = 4.0 + 0.01 * rng.normal(size=IMAGE)

@@ -191,7 +191,7 @@ class TactileSurface:
         record["variance_point"] = self.sigma_point**2
         record["indentation"] = self.indentation
         # A gel hangs beside an object, and a pad may bear one that it does not feel, so neither has untouched taxels.
-        record["flat"] = flat and not self.is_pad and not self.indentation
+        record["flat"] = flat and not self.is_zeroed
         return record
 
     def _usual_sigma_normal(self, flat: bool) -> float:
@@ -232,6 +232,11 @@ class TactileSurface:
     def is_pad(self) -> bool:
         """Whether it has one taxel, so that it is touched somewhere on it or not."""
         return len(self.points) == 1
+
+    @property
+    def is_zeroed(self) -> bool:
+        """Whether a reading that is not 0 is a touch from the first one on: an indentation, or that of a pad."""
+        return self.indentation or self.is_pad
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -293,7 +298,7 @@ class TactileSurface:
         count = sense_taxels(values, baseline, self.record, taxels, rise, states, patches)
         patches = patches[:count]
         sink(patches, self, GIVES)
-        if self.indentation or self.is_pad:
+        if self.is_zeroed:
             # A patch is one contact, and what hangs between gel and object does not say where the object is not.
             patches["flat"] = False
             states[0][states[0] == UNTOUCHED] = FAR

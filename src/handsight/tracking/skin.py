@@ -197,7 +197,7 @@ class SkinSensors:
                 continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
-            if finger is not None and known.count < TAXELS.min_rest:
+            if finger is not None and not surface.is_zeroed and known.count < TAXELS.min_rest:
                 strongest = touch.rise[touch.states[0] > LOW, -1]  # without filled taxels
                 if not strongest.max(initial=0.0) >= SURE_THRESHOLDS * surface.threshold:  # they are offsets
                     touch = surface.sensed(readings, known.baseline + touch.rise[:-1])
