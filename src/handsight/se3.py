@@ -121,7 +121,10 @@ def quaternion_from_rotation(R: Array) -> Array:
     """Returns unit `quaternion_xyzw` (..., 4), the largest component positive (Shepperd's choice of divisor)."""
     a, b, c, d, e, f, g, h, i = R.reshape(-1, 9).T
     # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
-    x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
+    x = 1 + a - e - i
+    y = 1 - a + e - i
+    z = 1 - a - e + i
+    w = 1 + a + e + i
     columns = (
         (x, b + d, c + g, h - f),
         (b + d, y, f + h, c - g),
@@ -142,7 +145,8 @@ def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:
 
 def moved(T: Array, perturbation: Array) -> Array:
     """Returns `T` (..., 4, 4) after the perturbation (δp, δθ): `p + δp`, `exp(δθ) @ R`."""
-    shift, turn = perturbation[..., :3], perturbation[..., 3:]
+    shift = perturbation[..., :3]
+    turn = perturbation[..., 3:]
     return compose(rotation_exp(turn) @ T[..., :3, :3], T[..., :3, 3] + shift)
 
 
@@ -194,6 +198,7 @@ def axes_along(first: Array, second: Array) -> Array:
 def directions(n: int) -> Array:
     """Returns n unit vectors (n, 3), evenly distributed over the sphere (a Fibonacci lattice)."""
     k = np.arange(n) + 0.5
-    z, angle = 1 - 2 * k / n, np.pi * (1 + np.sqrt(5)) * k
+    z = 1 - 2 * k / n
+    angle = np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z * z)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])

@@ -21,7 +21,11 @@ POSE = record(("rotation", "f8", (3, 3)), ("position", "f8", (3,)))
 
 # Kinds of distance field. An exact one has half sizes (box), radius and half height (cylinder) or radius (sphere) in
 # `origin`, and no nodes. A sheet is a grid around a surface that has no inside; its signs tell the surface's two sides.
-GRID, BOX, CYLINDER, SPHERE, SHEET = 0, 1, 2, 3, 4
+GRID = 0
+BOX = 1
+CYLINDER = 2
+SPHERE = 3
+SHEET = 4
 FIELD = record(
     ("kind", "i8"),
     ("origin", "f8", (3,)),
@@ -37,7 +41,10 @@ FIELD = record(
 
 # Kinds of symmetry: none, finitely many rotations, an axis through the origin (and finitely many); others are left to
 # Python.
-NO_SYMMETRY, DISCRETE, AXIS, OTHER_SYMMETRY = 0, 1, 2, 3
+NO_SYMMETRY = 0
+DISCRETE = 1
+AXIS = 2
+OTHER_SYMMETRY = 3
 SYMMETRY = record(
     ("kind", "i8"),
     ("axes", "i8"),  # number of continuous axes
@@ -140,7 +147,9 @@ GROUP = record(
 )
 
 # The prior of an object with its symmetries: vision's, or the weak one on the position where there is no vision.
-NO_PRIOR, VISION_PRIOR, WEAK_PRIOR = 0, 1, 2
+NO_PRIOR = 0
+VISION_PRIOR = 1
+WEAK_PRIOR = 2
 PRIOR_TERM = record(
     ("kind", "i8"),
     ("has_axis", "i8"),
@@ -166,7 +175,9 @@ _ENDED = (
 DESCENT = record(*_ENDED)
 
 # What is known of the minimum that one start led to: a better one is likely to exist, none is, or it takes more tests.
-DOUBTED, ENOUGH, UNDECIDED = 0, 1, 2
+DOUBTED = 0
+ENOUGH = 1
+UNDECIDED = 2
 # A pose with its uncertainty; its first fields are those of the descent that led to it.
 ANSWER = record(
     *_ENDED,

@@ -107,7 +107,8 @@ def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
                 yield [source.read(LONGEST + 1 + len(marks)).removeprefix(marks)]
                 return
             for lines in _split(source):
-                lines[0], marks = lines[0].removeprefix(marks), b""
+                lines[0] = lines[0].removeprefix(marks)
+                marks = b""
                 if come := [line for line in lines if line.strip() or len(line) > LONGEST]:
                     yield come
         except OSError as error:

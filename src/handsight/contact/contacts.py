@@ -17,7 +17,8 @@ from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
-SIGMA_POINT, SIGMA_NORMAL = 1e-3, 0.1
+SIGMA_POINT = 1e-3
+SIGMA_NORMAL = 0.1
 """Standard deviations of contacts that are given without [m], [rad]."""
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from handsight.checks import Array
 
-OBJECT_CURVATURE, SIGMA_CURVATURE = 30.0, 25.0
+OBJECT_CURVATURE = 30.0
+SIGMA_CURVATURE = 25.0
 """Of what a hand holds, from flat to a can's and a pen's: mean and standard deviation [1/m]."""
 
 

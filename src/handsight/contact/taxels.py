@@ -37,14 +37,16 @@ from handsight.contact.soft_skin import sink
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
-MAX_CONTACTS, MAX_PATCHES = 32, 16
+MAX_CONTACTS = 32
+MAX_PATCHES = 16
 """Most contacts of a surface's flat patches, the pressed taxels that are farthest from each other; and most patches."""
 CLEARANCE = 5e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it
 [m]. A can's side is that high 6 mm beside the line where it touches."""
 GIVES = 2e-8
 """How much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber 1.7e-8, 5 mm of foam 1e-7."""
-MOST_TAXELS, FLAT = 4096, math.radians(3)
+MOST_TAXELS = 4096
+FLAT = math.radians(3)
 """Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
 LARGEST_PITCH = 0.1
 """Between taxels, and the diagonal of a pad on a palm [m]."""

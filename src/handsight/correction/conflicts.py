@@ -118,7 +118,8 @@ def _suspects(problem: Problem, answer: np.void, used: Mask) -> list[Evidence]:
     chi2 = answer["chi2"]
     if chi2 <= LEAST:
         return []
-    n, rows = int(used.sum()), int(answer["rows"])
+    n = int(used.sum())
+    rows = int(answer["rows"])
     limits = {
         "prior_gain": modes.chi2_limit(prior_freedom(problem, rows), KIND),
         "outside_gain": modes.chi2_limit(1, KIND),
@@ -241,8 +242,11 @@ def descended(problem: Problem, used: Mask, start: np.void) -> tuple[np.void, Ar
         T = se3.compose(start["rotation"], start["position"])
         row = registered(replace(problem, contacts=contacts), T).row
         return row, residuals(problem, row["T_palm_object"])
-    rows, found = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
-    row, contacts, constraints = rows[0], problem.sets(used)[0], problem.constraints.copy()
+    rows = np.zeros(1, dtype=records.PROBLEM)
+    found = np.empty((used.size, 2))
+    row = rows[0]
+    contacts = problem.sets(used)[0]
+    constraints = problem.constraints.copy()
     row["follows"] = True
     row["start"] = start
     if problem.blind:  # of equivalent poses the one nearest to the start is the answer
@@ -265,11 +269,15 @@ def _conflict(
     `rest`: the ANSWER without it, None: `answer` itself; `offsets` (n, 2): the contacts' residuals there. `problem`,
     `used` (1, n) and `answer` are with the evidence.
     """
-    name, offset, others = str(evidence), NOWHERE, "contacts"
+    name = str(evidence)
+    offset = NOWHERE
+    others = "contacts"
     T = poses_of(answer if rest is None else rest)
     without = _without(problem, used, evidence)[1]
     if isinstance(evidence, int):
-        name, offset, others = f"contact {evidence}", offsets[evidence], "other contacts"
+        name = f"contact {evidence}"
+        offset = offsets[evidence]
+        others = "other contacts"
     elif evidence == "vision" and problem.vision is not None:
         offset = se3.difference(T, problem.vision.T_palm_object)
     elif evidence == "weight" and problem.weight is not None:
@@ -277,5 +285,6 @@ def _conflict(
         offset = center - problem.weight.center_palm
     against = [others] if without.any() else []
     against += [kind for kind in KINDS if kind != evidence and _freedom(problem, used, kind, answer)]
-    fall, freedom = max(fall, 0.0), _freedom(problem, used, evidence, answer)
+    fall = max(fall, 0.0)
+    freedom = _freedom(problem, used, evidence, answer)
     return Conflict(name, ", ".join(against), fall, freedom, modes.chi2_survival(fall, freedom), offset)

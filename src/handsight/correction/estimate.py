@@ -192,10 +192,13 @@ class Conflict:
             return (
                 "normals contradict the rest: all of them negated would fit (do they point into the object?)"
             )
-        shift, turn = self.offset[:3], self.offset[3:]
+        shift = self.offset[:3]
+        turn = self.offset[3:]
         places = ["along x", "along y", "along z"]
         if len(self.offset) == 2:  # distance and angle of a contact
-            shift, turn, places = self.offset[:1], self.offset[1:], ["from the surface"]
+            shift = self.offset[:1]
+            turn = self.offset[1:]
+            places = ["from the surface"]
         text = f"{self.evidence} contradicts {self.against} by {self.chi2**0.5:.0f} sigma"
         if len(shift):
             k = int(np.abs(shift).argmax())

@@ -57,7 +57,8 @@ class Mixture(NamedTuple):
 
     def density(self, x: Array) -> Array:
         """Returns the density (n,) at coordinates (n, d), up to a constant factor."""
-        inverse, d = np.linalg.inv(self.roots), x.shape[1]
+        inverse = np.linalg.inv(self.roots)
+        d = x.shape[1]
         shifts = np.einsum("kij,kj->ki", inverse, self.centers).ravel()
         y = x @ inverse.reshape(-1, d).T
         y -= shifts
@@ -70,7 +71,8 @@ class Mixture(NamedTuple):
 @lru_cache(maxsize=1)
 def _standard() -> Array:
     """Returns draws of the standard t (n, 6)."""
-    rng, number = np.random.default_rng(0), NUMBER
+    rng = np.random.default_rng(0)
+    number = NUMBER
     return np.asarray(
         rng.normal(size=(number, DIMENSIONS)) / np.sqrt(rng.chisquare(FREEDOM, (number, 1)) / FREEDOM)
     )
@@ -82,7 +84,8 @@ def may_draw(problem: Problem) -> bool:
     On a scan, whose bumps are not the object's, the integral knows which part of the cost to leave out; about a
     declared axis nothing is drawn.
     """
-    model, error = problem.model, problem.model.field_error
+    model = problem.model
+    error = problem.model.field_error
     return (
         not problem.blind
         and modes.has_detail(model)
@@ -105,7 +108,8 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
     `used` (1, n): the contacts in use. Coordinates are (δp, radius δθ) [m] from the first minimum, along the object's
     own axes. A minimum that is turned by more than a right angle from it remains as it is.
     """
-    T, scale = rows[0]["T_palm_object"].copy(), np.repeat([1.0, problem.model.radius], 3)
+    T = rows[0]["T_palm_object"].copy()
+    scale = np.repeat([1.0, problem.model.radius], 3)
     along = np.kron(np.eye(2), T[:3, :3].T) * scale[:, None]
     across = np.linalg.inv(along)
     places = se3.difference(rows["T_palm_object"], T) @ along.T
@@ -162,11 +166,14 @@ def _moments(x: Array, weights: Array, place: Array, covariance: Array) -> tuple
     draws as a Gaussian's: tails are heavier.
     """
     mean = weights @ x
-    effective, prior = 1 / (weights @ weights), OWN
-    number, off = effective + prior, place - mean
+    effective = 1 / (weights @ weights)
+    prior = OWN
+    number = effective + prior
+    off = place - mean
     spread = (x - mean).T @ ((x - mean) * weights[:, None])
     C = effective * spread + prior * covariance + effective * prior / number * np.outer(off, off)
-    mean, C = mean + prior / number * off, C * (1 + 1 / number) / number
+    mean = mean + prior / number * off
+    C = C * (1 + 1 / number) / number
     square = np.einsum("ni,ni->n", x - mean, (x - mean) @ np.linalg.inv(C))
     order = np.argsort(square)
     within = min(int(np.searchsorted(np.cumsum(weights[order]), LEVEL)), len(x) - 1)

@@ -76,7 +76,8 @@ def merged(problem: Problem, rows: Records, *, means: bool = True) -> Records:
         T = row["T_palm_object"].copy()
         shift, turn = modes.pose_distances(model, rows["T_palm_object"][rest], T)
         near = (shift <= modes.SAME_MODE[0]) & (turn <= modes.SAME_MODE[1])
-        beside, rest = rows[rest[near]], rest[~near]
+        beside = rows[rest[near]]
+        rest = rest[~near]
         share = np.exp(beside["log_weight"] - row["log_weight"])
         if share.sum() < 0.01:
             continue
@@ -89,7 +90,8 @@ def merged(problem: Problem, rows: Records, *, means: bool = True) -> Records:
         ]
         C = np.einsum("k,kij->ij", shares, parts)
         C += (offsets - middle).T @ ((offsets - middle) * shares[:, None])
-        row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
+        row["T_palm_object"] = se3.moved(T, middle)
+        row["covariance"] = C
         row["log_weight"] += np.log1p(share.sum())
         row["information"] = known_information(model, row["T_palm_object"], C)
     return kept.take(np.argsort(-kept["log_weight"], kind="stable"))

@@ -80,7 +80,8 @@ def chi2_survival(chi2: float, freedom: int) -> float:
     """
     if not chi2 > 0:
         return 1.0
-    half, odd = chi2 / 2, freedom % 2
+    half = chi2 / 2
+    odd = freedom % 2
     exponents = np.arange(freedom // 2) + 0.5 * odd
     # log Γ(m + 1), each from the one before.
     log_gamma = math.lgamma(0.5 * odd + 1) + np.cumsum(np.log(np.where(exponents < 1, 1.0, exponents)))
@@ -94,8 +95,10 @@ def chi2_limit(freedom: int, alarm: float) -> float:
 
     By Newton's steps on the logarithm of the probability, which is concave; a step out of the bracket halves it.
     """
-    low, high = 0.0, freedom + 10 * math.sqrt(2 * freedom) + 100
-    x, log_gamma = float(freedom), math.lgamma(freedom / 2)
+    low = 0.0
+    high = freedom + 10 * math.sqrt(2 * freedom) + 100
+    x = float(freedom)
+    log_gamma = math.lgamma(freedom / 2)
     for _ in range(100):
         survival = chi2_survival(x, freedom)
         low, high = (x, high) if survival > alarm else (low, x)

@@ -45,16 +45,22 @@ def draw(
     It is drawn from around the pose (4, 4) and the information (6, 6) that the contacts alone lead to, along the
     object's own axes, so that another palm frame changes nothing. `first`: the number of draws from these.
     """
-    rng, T = np.random.default_rng(first), T_palm_object
+    rng = np.random.default_rng(first)
+    T = T_palm_object
     flat, directions, widths = _open_directions(problem.model, T, information)
-    d, given = len(directions), problem.arguments(problem.everyone)
-    mixture, mixtures = Mixture(np.zeros((1, d)), np.diag(widths)[None], np.ones(1)), list[Mixture]()
-    points, density, lateral = np.zeros(0, LATTICE_POINT), np.zeros(0), np.zeros((EACH, 6))
+    d = len(directions)
+    given = problem.arguments(problem.everyone)
+    mixture = Mixture(np.zeros((1, d)), np.diag(widths)[None], np.ones(1))
+    mixtures = list[Mixture]()
+    points = np.zeros(0, LATTICE_POINT)
+    density = np.zeros(0)
+    lateral = np.zeros((EACH, 6))
     while True:
         new = np.zeros(EACH, LATTICE_POINT)
         standard = rng.normal(size=(len(new), 6)) @ directions.T
         standard /= np.sqrt(rng.chisquare(FREEDOM, (len(new), 1)) / FREEDOM)
-        new["index"][:, :d], new["lateral"] = mixture.draws(standard), lateral
+        new["index"][:, :d] = mixture.draws(standard)
+        new["lateral"] = lateral
         in_parts(partial(batch.visit_all, *given, T, flat), (new,), EACH // 2)
         yield
         there = sum((m.density(new["index"][:, :d]) for m in mixtures), np.zeros(len(new)))
@@ -70,7 +76,8 @@ def draw(
         if len(points) >= first:
             mixture, chosen = _next_round(points["index"][:, :d], logs, rng)
             lateral = points["lateral"][np.repeat(chosen, EACH // CENTERS)]
-    weights, best = _flattened(logs, LEAST), np.argsort(points["cost"], kind="stable")[:KEPT]
+    weights = _flattened(logs, LEAST)
+    best = np.argsort(points["cost"], kind="stable")[:KEPT]
     mean = weights @ points["moved"]
     off = points["moved"] - mean
     C = off.T @ (off * weights[:, None]) + np.einsum("k,kij", weights, points["within"])
@@ -82,16 +89,23 @@ def _open_directions(
 ) -> tuple[Records, Array, Array]:
     """Returns (1,) FLAT_DIRECTIONS for `visit_all`, and those of its directions that an information (6, 6) leaves open,
     at least one: (d, 6) along the object's own axes, and their widths (d,) [m]."""
-    own, flat = np.eye(6), np.zeros(1, FLAT_DIRECTIONS)
+    own = np.eye(6)
+    flat = np.zeros(1, FLAT_DIRECTIONS)
     own[:3, :3] = own[3:, 3:] = T_palm_object[:3, :3]
     basis = across_axes(tangents(model.symmetries, T_palm_object), model.radius) @ own
     of_basis = basis @ own.T @ modes.in_metres(information, model.radius) @ own @ basis.T
     values, vectors = np.linalg.eigh(of_basis)
-    directions, widths = vectors.T @ basis, 1 / np.sqrt(np.maximum(values, model.radius**-2))
+    directions = vectors.T @ basis
+    widths = 1 / np.sqrt(np.maximum(values, model.radius**-2))
     wide = np.count_nonzero(widths > INTEGRATION.narrow_sigma * model.radius)
-    d, along = int(np.clip(wide, 1, INTEGRATION.max_directions)), own @ directions.T
-    flat["count"], flat["count_across"], flat["stretch"], flat["most_cost"] = d, len(values) - d, 1.0, np.inf
-    flat["lattice"][0, :, :d], flat["across"][0, :, : len(values) - d] = along[:, :d], along[:, d:]
+    d = int(np.clip(wide, 1, INTEGRATION.max_directions))
+    along = own @ directions.T
+    flat["count"] = d
+    flat["count_across"] = len(values) - d
+    flat["stretch"] = 1.0
+    flat["most_cost"] = np.inf
+    flat["lattice"][0, :, :d] = along[:, :d]
+    flat["across"][0, :, : len(values) - d] = along[:, d:]
     return flat, directions[:d], widths[:d]
 
 
@@ -103,7 +117,8 @@ def _next_round(x: Array, logs: Array, rng: np.random.Generator) -> tuple[Mixtur
     are drawn about more closely.
     """
     at = (np.arange(CENTERS) + rng.random()) / CENTERS
-    weights, d = _flattened(logs, LEAST), x.shape[1]
+    weights = _flattened(logs, LEAST)
+    d = x.shape[1]
     chosen, plain = (np.searchsorted(np.cumsum(w), at) for w in (weights, _flattened(logs, 1.0)))
     chosen[1::2] = plain[1::2]
     chosen = np.minimum(chosen, len(x) - 1)

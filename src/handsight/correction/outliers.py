@@ -55,11 +55,13 @@ def solve_robustly(problem: Problem) -> Steps[Candidates]:
                     if again.fits(ACCEPT_P):
                         return again
         if without is not None and _better(without, found):
-            found, suspicious = without, _suspicious(problem, without)
+            found = without
+            suspicious = _suspicious(problem, without)
             if not suspicious:
                 return found
         elif may_draw:
-            cost, may_draw = found.cost, False
+            cost = found.cost
+            may_draw = False
             drawn = first_starts(problem, MORE_STARTS * number)[None, number:]
             found = found.with_more(solve(problem, drawn, found.used))
             yield
@@ -86,7 +88,8 @@ def _better(without: Candidates, found: Candidates) -> bool:
 def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
     """Returns the contacts to leave out in turn: the one of the largest gain, to first order, and those after it; none
     where no more may be left out."""
-    contacts, n = np.flatnonzero(found.used[0]), found.used.size
+    contacts = np.flatnonzero(found.used[0])
+    n = found.used.size
     # Fewer than the rest may be called wrong.
     most = min((n - 2 if problem.blind else n - 1) // 2, MAX_OUTLIERS)
     if n - len(contacts) >= max(most, 0):

@@ -20,7 +20,8 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.representation import short_repr
 
-MOST_POINTS, MOST_PLANES = 10_000, 100
+MOST_POINTS = 10_000
+MOST_PLANES = 100
 """Points and planes of one correction."""
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 

@@ -129,7 +129,8 @@ def residuals(x: Array, matching: Matching) -> Array:
 
 def rotation(q: Array) -> Array:
     """Returns the matrices (..., 3, 3) of `v -> q v q*` for quaternions (..., 4), w first, which scale by |q|² too."""
-    w, v = q[..., :1, None], q[..., 1:]
+    w = q[..., :1, None]
+    v = q[..., 1:]
     outer = v[..., :, None] * v[..., None, :]
     cross = np.zeros_like(outer)
     cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
@@ -172,7 +173,11 @@ def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
     no step, so the cost may rise, and the best iterate is kept.
     """
     x = np.array([1.0, 0, 0, 0, 0, 0, 0])
-    best, best_value, lowest, mark, stalled = x, np.empty(0), np.inf, np.inf, 0
+    best = x
+    best_value = np.empty(0)
+    lowest = np.inf
+    mark = np.inf
+    stalled = 0
     for iteration in range(method.max_iterations + 1):
         value, jacobian = forward_difference_jacobian(G, x, method.step)
         cost = float(np.linalg.norm(value))
@@ -181,7 +186,8 @@ def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
         if cost < lowest:
             best, best_value, lowest = x, value, cost
         if cost <= mark - CM_PER_M * method.tolerance:
-            mark, stalled = cost, 0
+            mark = cost
+            stalled = 0
         else:
             stalled += 1
         if stalled >= method.patience or cost == 0:

@@ -16,7 +16,8 @@ from handsight.correction.problem import FEW, Problem, Records, descents_at, pos
 from handsight.correction.solve import solve
 from handsight.objects import ObjectModel
 
-MOST_FEW, MOST_CANDIDATES = 16, 8
+MOST_FEW = 16
+MOST_CANDIDATES = 8
 """Minima of the search, the cheapest, from which a few contacts are registered; of the places that these lead to, those
 from which all are."""
 MOST_AGAIN = 4
@@ -73,7 +74,8 @@ class Registration(NamedTuple):
 def register(problem: Problem) -> list[Registration]:
     """Returns the distinct minima of a problem of many contacts, likeliest first; from `problem.starts`, if there are
     any."""
-    contacts, n = problem.contacts, len(problem.contacts)
+    contacts = problem.contacts
+    n = len(problem.contacts)
     few = problem
     if n > FEW:
         few = replace(problem, contacts=contacts.select(spread(contacts, FEW)), taxels=0)
@@ -152,7 +154,8 @@ def registered(problem: Problem, T: Array) -> Registration:
     center = contacts.points_palm.mean(axis=0)
     groups = _groups(contacts, center, model.radius)
     of_group = np.where(contacts.group < 0, len(groups) - 1, contacts.group)
-    answer, squares = np.zeros(1, dtype=records.ANSWER), np.empty((len(contacts), 3))
+    answer = np.zeros(1, dtype=records.ANSWER)
+    squares = np.empty((len(contacts), 3))
     answer["pose"] = descents_at(T[None])["pose"]
     evidence = *model.record[:2], contacts.record, _crowds(model, contacts, T), of_group, groups, center
     registration.register(*evidence, problem.constraints, problem.outside, squares, answer)
@@ -161,9 +164,12 @@ def registered(problem: Problem, T: Array) -> Registration:
 
 def _groups(contacts: Contacts, center: Array, radius: float) -> Records:
     """Returns GROUP (g + 1,) without errors; the last one is of contacts without a group."""
-    shared, count = contacts.shared_covariance, len(contacts.shared_covariance)
+    shared = contacts.shared_covariance
+    count = len(contacts.shared_covariance)
     groups = np.zeros(count + 1, dtype=records.GROUP)
-    groups["pose"]["rotation"], groups["weight"], groups["softness"] = np.eye(3), 1.0, 1.0
+    groups["pose"]["rotation"] = np.eye(3)
+    groups["weight"] = 1.0
+    groups["softness"] = 1.0
     for g in range(count):
         own = contacts.points_palm[contacts.group == g]
         lever = (own.mean(axis=0) if len(own) else center) - center

@@ -58,7 +58,8 @@ class SkinEvidence:
         `T_palm_frame` (4, 4): the pose of the array's link. `by_error` (6, j): the shift [m] and the turn [rad] of the
         link in the palm by one standard deviation of each of j joint errors; None: the link is fixed in the palm.
         """
-        contacts, untouched = touch.contacts(T_palm_frame, by_error), touch.outside(T_palm_frame)
+        contacts = touch.contacts(T_palm_frame, by_error)
+        untouched = touch.outside(T_palm_frame)
         return cls(contacts, untouched, touch.sigmas_common(by_error), touch.sigma_clearance)
 
     def joined(self, other: SkinEvidence) -> SkinEvidence:

@@ -47,7 +47,8 @@ def solve_usual(
     residuals = np.empty((len(given), 2))
     if T_start is not None:
         row["follows"] = True
-        row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
+        row["start"]["rotation"] = T_start[:3, :3]
+        row["start"]["position"] = T_start[:3, 3]
     verdict = batch.correct(record, nodes, given, constraints, outside, rows, residuals)
     if verdict == DOUBTED:
         return None, False
@@ -95,7 +96,9 @@ def solve(problem: Problem, starts: Records, used: Mask) -> Candidates:
     `starts` (S, M): DESCENT, those of each set. All are led by the coarse distance field; those that do not repeat
     another one go on to the fine field.
     """
-    model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
+    model = problem.model
+    arguments = problem.arguments(used)
+    ends = 2 if problem.blind else 1
     blocks = _blocks(starts, ends)
     in_parts(partial(search.search, *arguments), (blocks,), -(-FEW_DESCENTS // blocks.shape[1]))
     descents = blocks.reshape(-1)
@@ -220,7 +223,8 @@ def information_by_contact(
 
     Both are along the palm's axes, by the point [m] and by the change of the unit normal.
     """
-    information, gradient = np.empty((len(contacts), 6, 6)), np.empty((len(contacts), 6))
+    information = np.empty((len(contacts), 6, 6))
+    gradient = np.empty((len(contacts), 6))
     given = (*model.record[:2], contacts.record, descents_at(T_palm_object[None]))
     surface_at_contacts.information_by_contact(*given, information, gradient)
     return information, gradient

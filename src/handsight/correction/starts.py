@@ -67,12 +67,15 @@ def past_outside(problem: Problem, vision: PosePrior, number: int) -> Array:
     Points of the hand amid the object push it to the nearest side, which may be the wrong one: they stop descents from
     nearly all draws.
     """
-    free, everyone = replace(problem, outside=NO_OUTSIDE), problem.everyone
+    free = replace(problem, outside=NO_OUTSIDE)
+    everyone = problem.everyone
     found = solve.solve(free, from_prior(vision, number)[None], everyone)
     minimum = solve.summaries(free, found.minima[:1], everyone)[0]
-    rng, best = np.random.default_rng(5), np.array(minimum["T_palm_object"])[None]
+    rng = np.random.default_rng(5)
+    best = np.array(minimum["T_palm_object"])[None]
     values, vectors = np.linalg.eigh(bounded_covariance(minimum["information"]))
-    root, R = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, best[0, :3, :3]
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    R = best[0, :3, :3]
     for k in range(AROUND_ROUNDS):
         around = best[np.arange(PAST_OUTSIDE) % len(best)]
         steps = AROUND_SHRINK**k * (rng.normal(size=(len(around), 2, 3)) @ R.T).reshape(-1, 6) @ root
@@ -106,7 +109,8 @@ def blind(problem: Problem, used: Mask, *, prune: bool) -> ScoredStarts:
     normal is laid on the anchor's and the object is spun about it; else the object is turned at random. `prune`: only
     the best by the first few contacts are scored by all, and returned.
     """
-    contacts, chosen = problem.contacts, np.flatnonzero(used)
+    contacts = problem.contacts
+    chosen = np.flatnonzero(used)
     points = contacts.points_palm[chosen]
     # The contacts farthest from their centroid come first.
     order = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1), kind="stable")[::-1]
@@ -121,7 +125,8 @@ def blind(problem: Problem, used: Mask, *, prune: bool) -> ScoredStarts:
     if len(order) > MAX_SCORING:
         # Evenly from the outermost to the innermost.
         order = order[np.linspace(0, len(order) - 1, MAX_SCORING).astype(int)]
-    scoring, sigmas = chosen[order], _sigmas(points, descents)
+    scoring = chosen[order]
+    sigmas = _sigmas(points, descents)
     if prune and len(scoring) > FIRST_SCORING:
         first = _scores(problem, scoring[:FIRST_SCORING], sigmas, descents).sum(axis=1)
         descents = descents.take(np.argsort(first, kind="stable")[: len(first) // PROMISING_STARTS])
@@ -167,7 +172,8 @@ def _sigmas(points: Array, descents: Records) -> Array:
 
 def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records) -> Array:
     """Returns the cost of each chosen contact (m,) at each start, (K, m)."""
-    costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
+    costs = np.empty((len(descents), len(chosen)))
+    contacts = problem.contacts.record[chosen]
     given = (*problem.model.record[:2], contacts, sigmas)
     in_parts(partial(search.score, *given), (descents, costs), FEW_SCORES)
     return costs

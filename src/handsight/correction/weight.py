@@ -46,8 +46,10 @@ class WeightEvidence:
         """Returns a copy of CONSTRAINTS (1,) with this evidence in it."""
         record = constraints.copy()
         weight = record[0]["weight"]
-        weight["known"], weight["center_object"] = True, self.center_object
-        weight["center_palm"], weight["information"] = self.center_palm, np.linalg.inv(self.covariance)
+        weight["known"] = True
+        weight["center_object"] = self.center_object
+        weight["center_palm"] = self.center_palm
+        weight["information"] = np.linalg.inv(self.covariance)
         return record
 
     def of(self, model: ObjectModel) -> WeightEvidence:

@@ -85,7 +85,8 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
         if own is not None and name not in names:
             found.append(_of_taxels(finger.frame, own))
             continue
-        T, T_sensor = finger.T_frame_surface, finger.tip.T_surface_sensor
+        T = finger.T_frame_surface
+        T_sensor = finger.tip.T_surface_sensor
         T = T if T_sensor is None else T @ T_sensor
         sigma = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
         rest = sigma, finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
@@ -99,11 +100,14 @@ def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
     A threshold is six standard deviations of noise at least: of four, it would be passed once a second without a touch.
     """
     points = np.concatenate([surface.points for surface in surfaces])
-    middle, zero = points.mean(axis=0), np.zeros(3)
+    middle = points.mean(axis=0)
+    zero = np.zeros(3)
     noise = np.sqrt(PATCH) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
-    sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
-    nothing, name = WrenchCalibration(zero, zero, 1e-9, zero), LINK_TAXELS.format(frame)
+    sigma = noise * np.repeat([1.0, arm], 3)
+    gain = max(surface.noise for surface in surfaces)
+    nothing = WrenchCalibration(zero, zero, 1e-9, zero)
+    name = LINK_TAXELS.format(frame)
     return LoadSensor(name, frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True)
 
 
@@ -139,7 +143,8 @@ class LoadSum:
 
 def lacking(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) -> str:
     """Returns why the observations do not measure the loads of all sensors; empty where they do."""
-    alike, six_axis = [], [sensor for sensor in sensors if not sensor.taxels]
+    alike = []
+    six_axis = [sensor for sensor in sensors if not sensor.taxels]
     for sensor in sensors:
         readings = sensor.readings(observations)
         largest = np.abs(readings).max(axis=0, initial=0.0).reshape(2, 3).max(axis=1)
@@ -166,7 +171,8 @@ def load_sum(
     normal. `joints` (j,): the estimated offsets of the hand's moving joints, reading less true position [rad].
     `sensors`: what measures the loads; None: the fingers' six-axis sensors.
     """
-    n, sensors = len(observations), load_sensors(rig) if sensors is None else sensors
+    n = len(observations)
+    sensors = load_sensors(rig) if sensors is None else sensors
     chains, learnt = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
@@ -183,7 +189,8 @@ def load_sum(
     J = chains.jacobians(places.copy(), np.arange(len(sensors)), axes, learnt)
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
     sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
-    B, C = by_bias * sigmas.ravel(), by_joint @ rig.hand.couplings.changes(rig.hand.moving, {})
+    B = by_bias * sigmas.ravel()
+    C = by_joint @ rig.hand.couplings.changes(rig.hand.moving, {})
     # Errors in proportion to a load, as of hysteresis, last longer than a mean.
     gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(PATCH)
     lasting = by_bias * ((gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0])[:, None] * sigmas).ravel()
@@ -228,7 +235,9 @@ def _second_derivative(n: int, length: int) -> Array:
     The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
-    derivative, steps, samples = np.zeros((n, n)), np.arange(length), np.arange(n)
+    derivative = np.zeros((n, n))
+    steps = np.arange(length)
+    samples = np.arange(n)
     powers = np.vander(steps - length / 2, ORDER + 1, increasing=True)
     orders = np.arange(2, ORDER + 1)
     rows = (orders * (orders - 1) * powers[:, :-2]) @ np.linalg.pinv(powers)[2:]  # by step of the window
@@ -246,14 +255,17 @@ def _summed(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
     `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
-    R, s, known = Ts_palm_sensor[:, :3, :3], Ts_palm_sensor[:, :3, 3], [each.calibration for each in sensors]
+    R = Ts_palm_sensor[:, :3, :3]
+    s = Ts_palm_sensor[:, :3, 3]
+    known = [each.calibration for each in sensors]
     means = [sensor.readings(observations).mean(axis=0) for sensor in sensors]
     measured = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
     readings = np.array(measured)  # (t, 2, 3), with the tips' own weight
     weights = np.array([[one.mass] for one in known]) * gravity
     centers = R @ np.array([one.center_of_mass for one in known])[:, :, None]
     F, M = (readings @ R.swapaxes(1, 2)).swapaxes(0, 1)
-    f, m = F - weights, M + (se3.skew(weights) @ centers)[:, :, 0]
+    f = F - weights
+    m = M + (se3.skew(weights) @ centers)[:, :, 0]
     # The reading turns with the tip, the tip's own weight does not.
     S, by_force, turned = se3.skew(s), se3.skew(f), se3.skew(F)
     by_torque = by_force @ J[:, :3] + (S @ turned + se3.skew(m)) @ J[:, 3:]
@@ -279,7 +291,8 @@ def read_in_air(
     found = np.full((len(sensors), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
     for i in np.flatnonzero(travel > MIN_TRAVEL).tolist():
-        sensor, readings = sensors[i], sensors[i].readings(observations)
+        sensor = sensors[i]
+        readings = sensors[i].readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
         loads = np.hstack(compensated(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
@@ -297,7 +310,8 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
     names the finger, where there are too few orientations.
     """
-    window, rows = list[Observation](), {name: list[Array]() for name in rig.fingers}
+    window = list[Observation]()
+    rows = {name: list[Array]() for name in rig.fingers}
     sensors = load_sensors(rig)
     for observation in observations:
         if observation.joint_positions is None or observation.T_world_palm is None:
@@ -306,7 +320,8 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         if observation.stamp - window[0].stamp < STILL:
             continue
         first, last = (np.array(o.T_world_palm) @ _placed(rig, sensors, o) for o in (window[0], window[-1]))
-        readings, window = window, []
+        readings = window
+        window = []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
         if turned.max() > STILL_TURN or lacking(sensors, readings):
             continue

@@ -28,7 +28,8 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
     points = np.array([then.touched[tip][0] for tip in gripping])
     steps = now.Ts_palm_tip[gripping] @ se3.inverse(then.Ts_palm_tip[gripping])
     moved = (steps[:, :3, :3] @ points[:, :, None])[..., 0] + steps[:, :3, 3]
-    forces, normals = then.forces[gripping], np.array([then.touched[tip][1] for tip in gripping])
+    forces = then.forces[gripping]
+    normals = np.array([then.touched[tip][1] for tip in gripping])
     tangential = forces - (forces * normals).sum(axis=1, keepdims=True) * normals
     crept = tangential * (now.stamp - then.stamp)
     (v, creep), (w, turn) = small_motion(points, np.array([moved - points, crept]))
@@ -42,7 +43,8 @@ def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
     every axis is taken to be at least 2 mm away from them.
     """
     middle = points.mean(axis=0)
-    shift, A = displacements.mean(axis=-2), se3.skew(points - middle)
+    shift = displacements.mean(axis=-2)
+    A = se3.skew(points - middle)
     inertia = -(A @ A).sum(axis=0) + 0.002**2 * np.eye(3)
     turn = np.linalg.solve(inertia, (A @ displacements[..., None]).sum(axis=-3))[..., 0]
     return shift - se3.skew(turn) @ middle, turn

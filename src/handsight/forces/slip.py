@@ -100,9 +100,11 @@ class SlipDetector:
         """
         if not stamp > self.stamp:
             return self.now
-        since, self.stamp = stamp - self.stamp, stamp
+        since = stamp - self.stamp
+        self.stamp = stamp
         fingers, loads = ((), np.empty((0, 5))) if loads is None else (fingers, loads)
-        numbers, m = [self._numbers[name] for name in fingers], len(self._numbers)
+        numbers = [self._numbers[name] for name in fingers]
+        m = len(self._numbers)
         if by_taxels:
             numbers = [i + m * (name in by_taxels) for name, i in zip(fingers, numbers, strict=True)]
         self._memory = self._memory.copy()
@@ -149,7 +151,8 @@ class SlipDetector:
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
         """Returns whether any finger's load changes by more than the error of its gain."""
         for name, number in zip(fingers, numbers, strict=True):
-            gain, one = self._limits["gain"][number], self._memory[number % len(self._memory)]
+            gain = self._limits["gain"][number]
+            one = self._memory[number % len(self._memory)]
             limit = SLIP.change_sigmas * gain * np.linalg.norm(one["mean"])
             if name in ratios and (not gain or np.linalg.norm(one["mean"] - one["rest"]) >= limit):
                 return True
@@ -183,7 +186,8 @@ def _limits(sensor: LoadSensor) -> tuple[float, float, float, float]:
     """Returns the fields of a load sensor's LOAD_LIMITS, without its friction."""
     sigma = float(sensor.sigma[0])
     least, sure = SLIP.min_force_sigmas * sigma, SLIP.sure_force_sigmas * sigma
-    noise, gain = math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion), sensor.sigma_gain * sensor.taxels
+    noise = math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion)
+    gain = sensor.sigma_gain * sensor.taxels
     return max(SLIP.min_force, least), max(SLIP.sure_force, sure), noise, gain
 
 

@@ -95,7 +95,11 @@ class Weigher:
     def forget(self, reason: str) -> None:
         """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
         if self._last is not None or self._summed is not None or self.reason != reason:
-            self._window, self._kept, self._doubted, self.assumed, self.reason = (), (), False, "", reason
+            self._window = ()
+            self._kept = ()
+            self._doubted = False
+            self.assumed = ""
+            self.reason = reason
             self._summed = self._last = self.weighing = None
 
     @property
@@ -131,7 +135,9 @@ class Weigher:
         """
         self._loose = self._loose or pivots
         if not self._lifted:
-            self._lifted, self._window, self._summed = True, (), None
+            self._lifted = True
+            self._window = ()
+            self._summed = None
         window = self._full_window(observation)
         if self._summed is not None:
             self._weigh(self._summed, joints[1], pivots=pivots)
@@ -161,7 +167,8 @@ class Weigher:
             sensors = load_sensors(self.rig, self._names)
             if [each.name for each in sensors] != [each.name for each in self.sensors]:
                 self.forget("other sensors measure its load now")
-                self.sensors, self.tare = sensors, np.zeros((len(sensors), 6))
+                self.sensors = sensors
+                self.tare = np.zeros((len(sensors), 6))
         window = self._window
         if window and not 0 < observation.stamp - window[-1].stamp <= MAX_GAP:
             window = ()
@@ -180,7 +187,9 @@ class Weigher:
             sigma = LOOSE_OBJECT_CREEP if self._loose or motion is None else OBJECT_CREEP
             sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
             self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
-        self._last, self._loose, self._summed = load, pivots, None
+        self._last = load
+        self._loose = pivots
+        self._summed = None
         direction = load.gravity / np.linalg.norm(load.gravity)
         new = _angles([each.load.gravity for each, _ in self._kept], direction) > NEW_DIRECTION
         far = [each for (each, _), is_new in zip(self._kept, new, strict=True) if is_new]
@@ -220,7 +229,9 @@ class Weigher:
         if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > RESTART_AFTER:
-            self._kept, self._fits_at, self._doubted = (), load.stamp, True
+            self._kept = ()
+            self._fits_at = load.stamp
+            self._doubted = True
         if load.acceleration <= MAX_ACCELERATION and load.turning <= MAX_TURNING:
             self._keep(load)
 
@@ -321,7 +332,8 @@ class WeightSensor:
     @property
     def news(self) -> bool:
         """Whether the weight is other evidence of the pose than at the last correction."""
-        found, used = self.weigher.believed, self._used
+        found = self.weigher.believed
+        used = self._used
         if found is used or self.model.center_of_mass is None:
             return False
         if found is None or used is None or found.directions != used.directions:
@@ -347,10 +359,12 @@ class WeightSensor:
         if found is None or estimate is None:
             return None
         T = estimate.T_palm_object
-        R, center = T[:3, :3], T[:3, :3].T @ (found.center_palm - T[:3, 3])
+        R = T[:3, :3]
+        center = T[:3, :3].T @ (found.center_palm - T[:3, 3])
         by_pose = GaussianPose(T, estimate.bounded_covariance).at_point(center).covariance[:3, :3]
         mass, in_palm = (found.mass, found.sigma_mass), (found.center_palm, found.covariance_center)
-        covariance, reason = R.T @ (in_palm[1] + by_pose) @ R, self.weigher.reason or self.elsewhere(estimate)
+        covariance = R.T @ (in_palm[1] + by_pose) @ R
+        reason = self.weigher.reason or self.elsewhere(estimate)
         known = *mass, center, covariance, *in_palm, found.directions
         return ObjectWeight(*known, reason, self.weigher.biased, self.weigher.assumed)
 

@@ -71,10 +71,12 @@ class Weighing:
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
         """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
-        H, off = np.eye(1, 4), mass - self.mass
+        H = np.eye(1, 4)
+        off = mass - self.mass
         step, covariance = kalman_update(self.covariance, H, np.array([off]), np.array([[sigma**2]]))
         chi2 = float(self.chi2 + off**2 / (self.covariance[0, 0] + sigma**2))
-        mean, freedom = self.mean + step, self.freedom + 1
+        mean = self.mean + step
+        freedom = self.freedom + 1
         return replace(self, mean=mean, covariance=covariance, chi2=chi2, freedom=freedom)
 
     @property
@@ -131,26 +133,38 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     that gravity has the wrong sign, or that the loads are not those of a weight.
     """
     last = instants[-1].load
-    middle, rough = last.middle_palm, float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
+    middle = last.middle_palm
+    rough = float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
     prior = np.hstack([-middle[:, None], np.eye(3)]) / (SIGMA_REACH * max(rough, 1e-3))
     if start is None or start.mass <= 0:
-        mass, moment, passes = rough, rough * middle, PASSES
+        mass = rough
+        moment = rough * middle
+        passes = PASSES
     else:
-        mass, moment, passes = start.mass, start.mass * start.center_palm, 1
+        mass = start.mass
+        moment = start.mass * start.center_palm
+        passes = 1
     for _ in range(passes):
         rows = _whitened(instants, unknowns, mass, moment)
         C = rows[:, 4:-7]
         rows = _uncorrelated(rows, np.eye(len(rows)) + C @ C.T)
-        H, C, y, fixed = rows[:, :4], rows[:, 4:-7], rows[:, -7], rows[:, -6:]
+        H = rows[:, :4]
+        C = rows[:, 4:-7]
+        y = rows[:, -7]
+        fixed = rows[:, -6:]
         covariance = np.asarray(np.linalg.inv(H.T @ H + prior.T @ prior))  # c is near the loads
         x = covariance @ (H.T @ y)
-        mass, moment = float(x[0]), x[1:4]
-    left, off = y - H @ x, prior @ x
+        mass = float(x[0])
+        moment = x[1:4]
+    left = y - H @ x
+    off = prior @ x
     # Constants with a prior cost no degree of freedom; of mass and moment (4), the prior covers three.
     chi2 = float(left @ left + off @ off)
     p_fixed = score_test(fixed, left, H, covariance)
     D = np.zeros((4, 4))  # of (m, c), from those of (m, m c)
-    D[0, 0], D[1:, 0], D[1:, 1:] = 1.0, -moment / mass**2, np.eye(3) / mass
+    D[0, 0] = 1.0
+    D[1:, 0] = -moment / mass**2
+    D[1:, 1:] = np.eye(3) / mass
     mean = np.concatenate([[mass], moment / mass])
     return Weighing(mean, D @ covariance @ D.T, chi2, len(rows) - 1, p_fixed, len(instants))
 
@@ -176,14 +190,22 @@ def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, mome
     def of_loads(name: str) -> Array:
         return np.array([getattr(each.load, name) for each in instants])
 
-    Rt, t, moment, n = Ts[:, :3, :3].swapaxes(1, 2), Ts[:, :3, 3:], moment[:, None], len(instants)
-    g, by_bias, lever = of_loads("gravity"), of_loads("by_bias"), se3.skew((Rt @ (moment - mass * t))[..., 0])
-    G, tilted = se3.skew(g), -of_loads("R_palm_world") @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
+    Rt = Ts[:, :3, :3].swapaxes(1, 2)
+    t = Ts[:, :3, 3:]
+    moment = moment[:, None]
+    n = len(instants)
+    g = of_loads("gravity")
+    by_bias = of_loads("by_bias")
+    lever = se3.skew((Rt @ (moment - mass * t))[..., 0])
+    G = se3.skew(g)
+    tilted = -of_loads("R_palm_world") @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
     crept = mass * creep[:, :3, None] + se3.skew(creep[:, 3:]) @ moment  # m d
     rows = np.zeros((n, 6, 8))
-    rows[:, :3, 0], rows[:, 3:, :1] = g, G @ (Rt @ t)
+    rows[:, :3, 0] = g
+    rows[:, 3:, :1] = G @ (Rt @ t)
     rows[:, 3:, 1:4] = -G @ Rt
-    rows[:, :3, 4:7], rows[:, 3:, 4:7] = mass * tilted, lever @ tilted
+    rows[:, :3, 4:7] = mass * tilted
+    rows[:, 3:, 4:7] = lever @ tilted
     rows[:, 3:, 7:] = G @ (Rt @ crept) * unknowns.creep
     # Force and torque are off by the same error of the acceleration.
     shaken = np.concatenate([mass * np.eye(3) + np.zeros((n, 1, 1)), lever], axis=1)
@@ -192,7 +214,8 @@ def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, mome
     turning = mass * GYRATION**2 * of_loads("turning")[:, None, None]
     moved = mass * np.array([each.sigma for each in instants])[:, None, None]
     noise[:, 3:, 3:] += turning**2 * np.eye(3) + moved**2 * G @ G.swapaxes(1, 2)
-    by_joints, by_biases = of_loads("by_joint") @ unknowns.joints, by_bias * unknowns.biases
+    by_joints = of_loads("by_joint") @ unknowns.joints
+    by_biases = by_bias * unknowns.biases
     by_gains = by_bias * (of_loads("readings") * unknowns.gains)[:, None]
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
     fixed = np.diag(np.repeat([1.0, SIGMA_REACH], 3)) + np.zeros((n, 1, 1))

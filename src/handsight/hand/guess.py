@@ -40,7 +40,9 @@ TIPS = re.compile(r"tip|(^|[^a-z])pad")
 """Names of a link that is fixed on a finger's last one, and is its tip."""
 SAME_HAND = 0.15
 """A link on which several fingers hang, and which is nearer than this to another one, is of its hand [m]."""
-RADIUS, LEAST, MOST = 0.01, 0.004, 0.02
+RADIUS = 0.01
+LEAST = 0.004
+MOST = 0.02
 """Radius of a tip of unknown shape, and the least and the largest that are taken from a mesh [m]."""
 
 
@@ -83,7 +85,8 @@ def guess_hand(path: Path, palm: str | None = None) -> tuple[str, dict[str, Gues
         raise InvalidFile(f"{path}: {expected}, got {len(_ends(model))} links behind which no joint follows")
     hand = Hand.from_file(path, palm=palm)
     above = ancestors(model, links.index(palm))
-    poses, meshes = hand.link_poses(dict.fromkeys(hand.joint_names, 0.0)), hand.link_meshes()
+    poses = hand.link_poses(dict.fromkeys(hand.joint_names, 0.0))
+    meshes = hand.link_meshes()
     found = dict[str, GuessedTip]()
     for end in _last_ones(model, links, ends, poses, meshes):
         fixed = [
@@ -94,7 +97,8 @@ def guess_hand(path: Path, palm: str | None = None) -> tuple[str, dict[str, Gues
         tip = links[(fixed or [end])[0]]
         own_links = [links[body] for body in ancestors(model, end) if body not in above]
         name = finger_name([tip, *own_links], found)
-        T_tip, own = se3.inverse(poses[tip]), {links[end], tip} & meshes.keys()
+        T_tip = se3.inverse(poses[tip])
+        own = {links[end], tip} & meshes.keys()
         parts = [se3.apply(T_tip @ poses[link], meshes[link].vertices) for link in own]
         anchor = (T_tip @ poses[links[end]])[:3, 3]
         found[name] = _tip(tip, np.concatenate([np.zeros((0, 3)), *parts]), anchor)

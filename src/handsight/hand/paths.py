@@ -10,7 +10,8 @@ from urllib.parse import unquote
 from handsight.errors import HandsightError, InvalidFile
 from handsight.files import read_bytes
 
-PACKAGE, MODEL = "package://", "model://"
+PACKAGE = "package://"
+MODEL = "model://"
 MAX_MANIFEST = 1 << 20
 """Bytes of a `package.xml`."""
 

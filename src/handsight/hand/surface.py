@@ -117,7 +117,9 @@ def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indice
 def choose_evenly(points: Array, count: int) -> Indices:
     """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it. Farthest-point
     sampling gives the cells; its own points are on edges, the most central ones of the cells are not."""
-    place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    place = 0
+    nearest = np.full(len(points), np.inf)
+    owner = np.zeros(len(points), dtype=np.int64)
     for k in range(count):
         offsets = points - points[place]
         square = np.einsum("ni,ni->n", offsets, offsets)
@@ -188,7 +190,8 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
         return turned(np.array([0, radius, radius, 0]), half * np.array([-1, -1, 1, 1]), 32)
     # The profile of a capsule, that of a ball if its halves are at the same height.
     below = np.linspace(-np.pi / 2, 0, 17)
-    angle, above = np.concatenate([below, -below[::-1]]), np.repeat([-half, half], 17)
+    angle = np.concatenate([below, -below[::-1]])
+    above = np.repeat([-half, half], 17)
     if kind == ShapeKind.CAPSULE:
         return turned(radius * np.cos(angle), radius * np.sin(angle) + above, 64)
     radii = size if kind == ShapeKind.ELLIPSOID else radius
@@ -201,7 +204,10 @@ def turned(radii: Array, heights: Array, segments: int) -> Array:
     around = np.stack([np.cos(angle), np.sin(angle), np.ones(segments)], axis=1)[:, None]
     low = around * np.column_stack([radii, radii, heights])  # (segments, k, 3)
     next_low = np.roll(low, -1, axis=0)
-    a, b, c, d = low[:, :-1], next_low[:, :-1], low[:, 1:], next_low[:, 1:]
+    a = low[:, :-1]
+    b = next_low[:, :-1]
+    c = low[:, 1:]
+    d = next_low[:, 1:]
     triangles = np.stack([a, b, c, c, b, d], axis=2).reshape(-1, 3, 3)
     areas = np.linalg.norm(np.cross(*(triangles[:, k] - triangles[:, 0] for k in (1, 2))), axis=1)
     return np.asarray(triangles[areas > 1e-9 * areas.max()])  # at the poles, each second one is a line

@@ -13,7 +13,8 @@ from handsight.hand.couplings import Coupling, of_urdf
 from handsight.hand.paths import find_file
 from handsight.hand.robot_xml import Element, Meshes, as_stl, check_count, check_depth, read_mesh
 
-MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
+MIN_MASS = 1e-6
+MIN_INERTIA = 1e-9
 """Mass [kg] and inertia [kg m²] of links without any: MuJoCo refuses such links, and kinematics needs neither."""
 
 

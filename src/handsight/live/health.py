@@ -30,7 +30,10 @@ MEMORY = 100
 """The usual rate is that of so many messages."""
 MAX_NOTES = 20
 """Number of sentences in a message, and of different reasons for refusals."""
-OK, WARN, ERROR, STALE = 0, 1, 2, 3
+OK = 0
+WARN = 1
+ERROR = 2
+STALE = 3
 """The severity of a status, as diagnostic_msgs defines it."""
 OCCASIONAL = "vision", "detections", "mask", "color"
 """Roles of topics on which nothing may come, as where a detector does not find the object."""

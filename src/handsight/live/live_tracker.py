@@ -106,7 +106,9 @@ class LiveTracker:
         """Returns whether anybody subscribes to the markers; to be set by the transport."""
         self.show: Callable[[Observation, Tracker], None] = lambda *_: None
         """Called with each observation after its update, in the thread of `step`; such as a viewer's `update`."""
-        self.equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
+        self.equal = equal
+        self._inbox = Inbox()
+        self._tasks = deque[Callable[[], None]]()
         self._writer = Writer(encoding, rig.frames["palm"])
         self.tracker = Tracker(rig, model, settings=settings)
         """The tracker of the current object; only for the thread of `step`."""
@@ -216,7 +218,8 @@ class LiveTracker:
         observations = self._heard(arrived)
         if not self.equal and len(observations) > 1:
             # The newest is answered, and all with a camera's pose or depth image.
-            by_depth, (*older, newest) = self.rig.topics.depth is not None, observations
+            by_depth = self.rig.topics.depth is not None
+            (*older, newest) = observations
             kept = [o for o in older if o.vision is not None or (o.depth is not None and by_depth)]
             self.health.skipped += len(older) - len(kept)
             observations = [*kept, newest]
@@ -237,7 +240,8 @@ class LiveTracker:
         observations = list[Observation]()
         order = self._stream.order
         for came, message in arrived:
-            order.now, topic = came, self._stream.topics.get(message.topic)
+            order.now = came
+            topic = self._stream.topics.get(message.topic)
             readable = 0 if topic is None else topic.readable
             observations += self._stream.put(message)
             if topic is not None and topic.readable > readable:

@@ -13,7 +13,12 @@ from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 from handsight.tracking import Tracker
 
-ARROW, SPHERE, LINE_STRIP, LINE_LIST, SPHERE_LIST, TRIANGLES = 0, 2, 4, 5, 7, 11
+ARROW = 0
+SPHERE = 2
+LINE_STRIP = 4
+LINE_LIST = 5
+SPHERE_LIST = 7
+TRIANGLES = 11
 """The shape of a visualization_msgs/Marker."""
 GREEN, ORANGE = (0.3, 0.8, 0.4, 0.8), (1.0, 0.6, 0.1, 1.0)
 BLUE, RED = (0.2, 0.5, 1.0, 0.3), (0.9, 0.2, 0.2, 0.9)

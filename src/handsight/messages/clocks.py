@@ -107,12 +107,14 @@ class ReorderBuffer:
     """When the oldest waiting joint states will have waited enough, on the clock of `now`; infinite: none wait."""
 
     def __init__(self, report: Report) -> None:
-        self._report, self._clocks = report, Clocks()
+        self._report = report
+        self._clocks = Clocks()
         # What has come in the first second of joint states, by which the clocks are compared; None: that is over.
         self._first: deque[Measurement] | None = deque()
         self._begun: Measurement | None = None  # the first joint states
         self._waiting: list[tuple[float, int, Measurement]] = []
-        self._bytes, self._count = 0, itertools.count()
+        self._bytes = 0
+        self._count = itertools.count()
         self._newest = -inf
         # Joint states whose stamp jumped, and what came after them, until the next joint states confirm or refute it.
         self._held: list[Measurement] = []

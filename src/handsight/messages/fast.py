@@ -29,7 +29,8 @@ class FastReader:
     def __init__(self, encoding: Literal["cdr", "ros1"]) -> None:
         self._cdr = encoding == "cdr"
         self._stamp_format = "<iI" if self._cdr else "<II"
-        self._named, self._names = b"", list[str]()
+        self._named = b""
+        self._names = list[str]()
 
     def wrench(self, data: bytes) -> tuple[float, Sequence[float]]:
         """Returns stamp [s], and force [N] and torque [N m] (6 numbers)."""

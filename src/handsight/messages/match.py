@@ -79,7 +79,8 @@ def match_topics(types: Mapping[str, str], fingers: Sequence[str]) -> tuple[Topi
         free = sorted((t for t, kind in types.items() if kind in role.types and t not in used), key=len)
         topic = next((t for word in role.words for t in free if word in t.lower()), None)
         if topic is not None:
-            found[key], used[topic] = topic, role.what
+            found[key] = topic
+            used[topic] = role.what
     for key, kinds in (("wrenches", [RosType.WRENCH]), ("contacts", CONTACTS)):
         found[key] = _by_finger([topic for topic, kind in types.items() if kind in kinds], fingers)
         used |= {topic: f"{key} of {finger}" for finger, topic in found[key].items()}

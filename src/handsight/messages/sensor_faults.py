@@ -11,11 +11,14 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.rig.units import MAX_FORCE
 
-SOME, FEW = 256, 5
+SOME = 256
+FEW = 5
 """Readings of a sensor that are kept, spread over the recording; with fewer than `FEW` nothing is judged."""
-MOST_COUNTS, MIN_VALUES = 4095, 8
+MOST_COUNTS = 4095
+MIN_VALUES = 8
 """Readings of 12 bits whose bytes are swapped are below 4096 once they are swapped again; values that say so."""
-MANY, SELDOM = 0.5, 0.1
+MANY = 0.5
+SELDOM = 0.1
 """An inverted sensor has at least this share of its readings within a tenth of their range below the largest, as at
 rest, and less than this within a tenth above the least."""
 

@@ -104,7 +104,10 @@ class GivenDetection:
         u, v, width, height = self.box
         if self.in_shares:
             columns, rows = camera.size
-            u, v, width, height = columns * u - 0.5, rows * v - 0.5, columns * width, rows * height
+            u = columns * u - 0.5
+            v = rows * v - 0.5
+            width = columns * width
+            height = rows * height
         box = u, v, u + width, v + height
         search_mask(camera, box, None)  # raises where it is outside the image
         mask = None if self.mask is None else self.mask.mask(camera)

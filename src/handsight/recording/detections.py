@@ -15,9 +15,11 @@ from handsight.recording.frames import Frame, Unread
 from handsight.vision import ObjectDetection, SceneDetection
 from handsight.vision.object.locate import Recognition
 
-MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
+MAX_HYPOTHESES = 3
+MIN_WEIGHT = 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
-FAR, IMPROBABLE = 3.0, 0.005
+FAR = 3.0
+IMPROBABLE = 0.005
 """Median depth [m] beyond which, and probability below which, an object may be in another unit."""
 
 
@@ -154,7 +156,8 @@ def bop_lines(row: Located | LocatedAll | Unread, numbers: Mapping[str, int]) ->
         return []
     lines = list[str]()
     for each in [row] if isinstance(row, Located) else row.instances:
-        T, (scene, image) = each.found.Ts_camera_object[0], each.frame.number or (0, 0)
+        T = each.found.Ts_camera_object[0]
+        scene, image = each.frame.number or (0, 0)
         parts = T[:3, :3], T[:3, 3] / 1e-3  # t in mm
         R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in parts)
         number = numbers[each.model.name]

@@ -193,7 +193,8 @@ class Hints:
 def doubt_of(T_camera_object: Array, model: ObjectModel, frame: Frame) -> str:
     """Returns why a pose (4, 4) cannot be that of the object in an image; empty where it can."""
     center = se3.apply(T_camera_object, model.center_object[None])[0]
-    distance, size = float(np.linalg.norm(center)), model.diameter
+    distance = float(np.linalg.norm(center))
+    size = model.diameter
     if distance < size / 2:
         return f"the object of {1e3 * size:.0f} mm would be {1e3 * distance:.3g} mm from the camera (in another unit?)"
     if center[2] <= 0:

@@ -37,7 +37,9 @@ class Recording(AbstractContextManager["Recording"]):
     """An open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
-        self._path, self._rig, self._topics = path, rig, dict[str, str]()
+        self._path = path
+        self._rig = rig
+        self._topics = dict[str, str]()
         with ExitStack() as opened:
             self._files = [opened.enter_context(closing(file)) for file in open_files(path)]
             for file in self._files:

@@ -34,7 +34,8 @@ class HandPixels:
 
     def __init__(self, rig: Rig) -> None:
         """The search for the palm is as wide as the constant standard deviations of the rig's camera."""
-        self._rig, self._hand = rig, HandInImage(rig)
+        self._rig = rig
+        self._hand = HandInImage(rig)
         # The constant error of the calibration: the palm's detected pose relative to the one by calibration.
         self._T_detected_calibrated: Array | None = None
         self.found = False

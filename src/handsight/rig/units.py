@@ -11,7 +11,8 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig.rig import Rig
 
-MAX_RANGE, MAX_FORCE = 10, 300
+MAX_RANGE = 10
+MAX_FORCE = 300
 """From a camera or the palm to the object [m], and on a fingertip [N]; above that, the unit seems to be wrong."""
 MIN_SHARE = 0.1  # of a recording's observations with such values; fewer are outliers
 

@@ -80,7 +80,8 @@ def with_symmetries_of_touch(model: ObjectModel, sigma: float) -> ObjectModel:
     A camera may distinguish such poses, by a print on the surface; touch cannot. The declared symmetries stay where
     the surface proposes no more.
     """
-    proposed, declared = propose_symmetries(model, sigma), model.symmetries
+    proposed = propose_symmetries(model, sigma)
+    declared = model.symmetries
     more = (len(proposed.axes), len(proposed.rotations)) > (len(declared.axes), len(declared.rotations))
     return replace(model, symmetries=proposed) if more else model
 
@@ -108,15 +109,19 @@ def cast(
     p = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], starts) + Ts_object_world[:, :3, 3]
     u = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], directions)
     lengths = np.repeat([sweep.length for sweep in sweeps], n)
-    travelled, hit, active = np.zeros(s * n), np.full(s * n, np.inf), np.arange(s * n)
-    normals_object, gaps = np.zeros((s * n, 3)), np.full(s * n, np.inf)
+    travelled = np.zeros(s * n)
+    hit = np.full(s * n, np.inf)
+    active = np.arange(s * n)
+    normals_object = np.zeros((s * n, 3))
+    gaps = np.full(s * n, np.inf)
     for _ in range(MAX_CAST_STEPS):
         values = model.evaluate(p[active] + travelled[active, None] * u[active])
         gap = values.distance - radius
         gaps[active] = np.minimum(gaps[active], gap)
         arrived = gap < CAST_TOLERANCE
         ended = active[arrived]
-        hit[ended], normals_object[ended] = travelled[ended], values.gradient[arrived]
+        hit[ended] = travelled[ended]
+        normals_object[ended] = values.gradient[arrived]
         travelled[active] += np.maximum(gap, CAST_TOLERANCE)
         active = active[~arrived & (travelled[active] < lengths[active])]
         if not len(active):
@@ -185,7 +190,8 @@ class Area:
         stable = placements[:, 3].astype(int)
         R = se3.rotation_exp(vertical) @ self.Rs_world_object[stable]
         middle = np.column_stack([placements[:, :2], self.center_heights(model)[stable]])
-        R, middle = self.R_world_table @ R, middle @ self.R_world_table.T
+        R = self.R_world_table @ R
+        middle = middle @ self.R_world_table.T
         return se3.compose(R, middle - R @ model.center_object)
 
     def sweep(self, through: Array, along: Array, height: float, reach: float) -> Sweep:
@@ -218,7 +224,8 @@ def resting(model: ObjectModel) -> Array:
         up = -pose.down[0]
         axes = np.linalg.svd(up[None])[2]
         R = np.stack([axes[1], np.cross(up, axes[1]), up])
-        turned, tilts = se3.compose(turns @ R, np.zeros(3)), []
+        turned = se3.compose(turns @ R, np.zeros(3))
+        tilts = []
         for other in distinct:
             T_other = se3.compose(other, np.zeros(3))
             ups = nearest(model.symmetries, turned, T_other, model.radius)[:, 2, :3]

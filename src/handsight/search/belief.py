@@ -105,7 +105,8 @@ class Belief:
         """
         if not isinstance(touch, Touch):
             raise InvalidInput(f"touch: expected a Touch, got {type(touch).__name__}")
-        contact, rng = touch.contact_world, np.random.default_rng(self.seed)
+        contact = touch.contact_world
+        rng = np.random.default_rng(self.seed)
         if contact is not None:
             n = CONTACT_DRAWS
             about = placements_about(self.model, self.area, contact, touch.radius, n, rng)
@@ -168,13 +169,15 @@ class Belief:
 
     def _mode(self, T: Array, Ts: Array) -> Mode:
         """Returns the mode of particles with poses `Ts` (n, 4, 4), linearised at `T` (4, 4), one of these."""
-        model, table = self.model, self.area.table
+        model = self.model
+        table = self.area.table
         equivalent = nearest(model.symmetries, Ts, T, model.radius)
         center = model.center_object[None]
         shifts = se3.apply(equivalent, center)[:, 0] - se3.apply(T, center)
         offsets = np.hstack([shifts, se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)])
         mean = offsets.mean(axis=0)
-        R, middle = se3.rotation_exp(mean[3:]) @ T[:3, :3], se3.apply(T, center)[0] + mean[:3]
+        R = se3.rotation_exp(mean[3:]) @ T[:3, :3]
+        middle = se3.apply(T, center)[0] + mean[:3]
         sigmas = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, MIN_SIGMA_YAW]
         covariance = (offsets - mean).T @ (offsets - mean) / len(offsets) + np.diag(np.square(sigmas))
         at_center = GaussianPose(se3.compose(R, middle), covariance)
@@ -202,9 +205,11 @@ def placements_about(
     """
     covariance = contact_world.covariance[0]
     on_table = contact_world.moved(se3.compose(area.R_world_table.T, np.zeros(3)))  # along the table's axes
-    normal, middle = on_table.normals_palm[0], tip_center(on_table, radius)
+    normal = on_table.normals_palm[0]
+    middle = tip_center(on_table, radius)
     # Random positions relative to the object's middle, at yaw 0 and the contact's height, at which a tip touches it.
-    Rs, reach = area.Rs_world_object, model.radius + radius
+    Rs = area.Rs_world_object
+    reach = model.radius + radius
     arms = rng.uniform(-reach, reach, (len(Rs), TIP_POSITIONS, 3))
     arms[:, :, 2] = float(middle[2]) - area.center_heights(model)[:, None]
     arms[:, :, 2] += area.table.sigma_height * rng.normal(size=arms.shape[:2])
@@ -238,7 +243,8 @@ def contact_log_likelihoods(
     """
     met = [(k, touch.contact_world, touch.radius) for k, touch in enumerate(reversed(touches))]
     contacts = [(later, contact, radius) for later, contact, radius in reversed(met) if contact]
-    R, freedom = Ts_world_object[:, :3, :3], FREEDOM
+    R = Ts_world_object[:, :3, :3]
+    freedom = FREEDOM
     constant = math.lgamma((freedom + 3) / 2) - math.lgamma(freedom / 2) - 1.5 * math.log(freedom * math.pi)
     middle = se3.apply(Ts_world_object, model.center_object[None])[:, 0]
     log_likelihoods = np.empty((len(Ts_world_object), len(contacts)))

@@ -37,7 +37,10 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
     same = (shifts < SAME * CERTAIN_POSITION) & (turns < SAME * CERTAIN_ROTATION)
     information = []
     for k in range(len(sweeps)):
-        d, n, m, h = np.where(hit[k], distances[k], 0.0), normals[k], margins[k], hit[k]
+        d = np.where(hit[k], distances[k], 0.0)
+        n = normals[k]
+        m = margins[k]
+        h = hit[k]
         chi2 = ((d[:, None] - d) * (cosines[k, :, None] + cosines[k]) / 2 / SIGMA_DISTANCE) ** 2
         chi2 += ((n[:, None] - n) ** 2).sum(axis=2) / SIGMA_NORMAL**2
         chi2 = np.where(h[:, None] & h, chi2, ((m[:, None] + m) / SIGMA_DISTANCE) ** 2)
@@ -55,12 +58,15 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
     levels = checks.finite(heights, "heights", (None,))
     if not len(levels) or not (levels > 0).all():
         raise InvalidInput(f"heights: expected some above 0, got {checks.brief(levels)}")
-    area, some = belief.area, belief.placements[:: max(len(belief.placements) // MAX_POSES, 1), :2]
+    area = belief.area
+    some = belief.placements[:: max(len(belief.placements) // MAX_POSES, 1), :2]
     reach = float(np.linalg.norm(area.high - area.low)) / 2 + belief.model.radius + MARGIN
     sweeps = []
     for _ in range(MAX_SWEEPS):
-        angle, offset = rng.uniform(0, 2 * np.pi), belief.model.radius * rng.uniform(-1, 1)
-        along, lateral = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        angle = rng.uniform(0, 2 * np.pi)
+        offset = belief.model.radius * rng.uniform(-1, 1)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        lateral = np.array([-np.sin(angle), np.cos(angle)])
         through = some[rng.integers(len(some))] + offset * lateral
         sweeps.append(area.sweep(through, along, rng.choice(levels), reach))
     return sweeps

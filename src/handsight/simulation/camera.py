@@ -103,7 +103,8 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     # The axial noise includes rounding, which is uniform over a step.
     sigma = np.sqrt(np.maximum(np.square(a + z * (b + z * c)) - step * step / 12, 0))
     # Part of the noise is correlated; both parts come from the same numbers, half an image apart.
-    drawn, share = _white(z.shape, rng), np.float32(noise.correlated)
+    drawn = _white(z.shape, rng)
+    share = np.float32(noise.correlated)
     grain = _smoothed(drawn, noise.correlation)
     grain *= np.sqrt(share)
     grain += np.sqrt(1 - share) * np.roll(drawn, (z.shape[0] // 2, z.shape[1] // 2), axis=(0, 1))
@@ -196,7 +197,8 @@ class Renderer:
 
     def pose(self, configuration: Array, T_world_camera: Array) -> None:
         """Moves the scene to a configuration and the camera to its pose, for the next picture."""
-        model, data = self.scene.model, self.data
+        model = self.scene.model
+        data = self.data
         data.qpos[:] = configuration
         self.mujoco.mj_kinematics(model, data)
         self.mujoco.mj_camlight(model, data)

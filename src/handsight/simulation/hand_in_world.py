@@ -136,14 +136,17 @@ def hand_of(rig: Rig, coupling_errors: tuple[float, ...] = ()) -> tuple["MjSpec"
     root = next((body for body in upward if body_joints(model, body)), upward[-1])
     spec = mujoco.MjSpec()
     spec.assets = own.assets
-    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
+    spec.compiler.boundmass = 1e-6
+    spec.compiler.boundinertia = 1e-9
     spec.compiler.balanceinertia = True
     spec.worldbody.add_frame().attach_body(own.body(model.body(root).name), "hand/", "")
     mount = spec.body(f"hand/{model.body(root).name}")
     for joint in list(mount.joints):
         spec.delete(joint)  # the arm's last one
     # A light body that an arm carries would make contacts soft.
-    mount.explicitinertial, mount.mass, mount.inertia = True, ARM_MASS, np.full(3, ARM_INERTIA)
+    mount.explicitinertial = True
+    mount.mass = ARM_MASS
+    mount.inertia = np.full(3, ARM_INERTIA)
     tips = {finger: TipInWorld.of(part, f"hand/{part.frame}") for finger, part in rig.fingers.items()}
     joints = _joints(spec)
     followers = _followers(rig, joints)
@@ -157,8 +160,11 @@ def hand_of(rig: Rig, coupling_errors: tuple[float, ...] = ()) -> tuple["MjSpec"
     for geom in spec.geoms:
         geom.group = 4 if geom in colliding and len(colliding) < len(spec.geoms) else 1
         of_tip = geom.parent.name in carriers
-        geom.contype, geom.conaffinity = int(geom in colliding and not of_tip), 0
-        geom.priority, geom.margin, geom.mass = 0, 0.0, np.nan
+        geom.contype = int(geom in colliding and not of_tip)
+        geom.conaffinity = 0
+        geom.priority = 0
+        geom.margin = 0.0
+        geom.mass = np.nan
     T_mount_palm = np.eye(4)
     for body in reversed(upward[: upward.index(root)]):
         R = se3.rotation_from_quaternion(np.roll(model.body_quat[body], -1))

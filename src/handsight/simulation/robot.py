@@ -25,9 +25,11 @@ def rig_of(scenario: Scenario) -> Rig:
     It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Raises MissingExtra
     without mujoco or gymnasium-robotics.
     """
-    usual, wrenches = Nuisances(), scenario.sensors == "wrench"
+    usual = Nuisances()
+    wrenches = scenario.sensors == "wrench"
     if scenario.rig is not None:  # hand, sensors, their topics are its own, all else is the simulated scene's
-        own, around = scenario.rig, rig_of(replace(scenario, rig=None))
+        own = scenario.rig
+        around = rig_of(replace(scenario, rig=None))
         known = own.topics
         topics_used = replace(around.topics, joint_states=known.joint_states, wrenches=known.wrenches)
         return replace(

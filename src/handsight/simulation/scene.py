@@ -37,7 +37,8 @@ FINGERS = ("ff", "mf", "rf", "lf", "th")
 TipErrors = tuple[tuple[float, float], ...]
 
 
-COUPLING, SLACK = 1.142, 0.142
+COUPLING = 1.142
+SLACK = 0.142
 """Of the tendon of the last two joints of the Shadow hand's fingers: the ratio by which the last follows the other, and
 by how much it is behind at most [rad]."""
 SENSOR_Z = 0.002
@@ -116,7 +117,8 @@ def scene(
     spec.option.timestep = 1 / STEPS_PER_SECOND
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    spec.option.iterations, spec.option.tolerance = 100, 1e-10
+    spec.option.iterations = 100
+    spec.option.tolerance = 1e-10
     cones = mujoco.mjtCone
     spec.option.cone = cones.mjCONE_PYRAMIDAL if pyramidal else cones.mjCONE_ELLIPTIC
     spec.option.impratio = 50.0 if pyramidal else 10.0  # else a pyramid lets a held object creep
@@ -126,9 +128,12 @@ def scene(
     bounds = _add_object(mujoco, spec, name, softness)
     if mass != OBJECT_MASS or any(shift):
         # The inertia about the centre of mass is proportional to the mass.
-        body, usual = spec.body("object"), scene(name, rig=rig).model.body("object")
-        body.explicitinertial, body.mass = True, mass
-        body.ipos, body.iquat = usual.ipos + shift, usual.iquat
+        body = spec.body("object")
+        usual = scene(name, rig=rig).model.body("object")
+        body.explicitinertial = True
+        body.mass = mass
+        body.ipos = usual.ipos + shift
+        body.iquat = usual.iquat
         body.inertia = usual.inertia * (mass / usual.mass[0])
     model = spec.compile()
     return SimulatedScene(
@@ -215,7 +220,9 @@ def _add_tips(
             **stiffness(softness),
         )  # fmt: skip
         if not np.array_equal(of.center, of.T_sensor_surface[:3, 3]):
-            tip.explicitinertial, tip.mass, tip.ipos = True, of.mass, of.center
+            tip.explicitinertial = True
+            tip.mass = of.mass
+            tip.ipos = of.center
             tip.inertia = of.mass * of.semi_axes.max() ** 2 * np.full(3, 0.4)
         tip.add_site(name=f"{finger}_ft")
         site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
@@ -241,7 +248,8 @@ def _placed(T: Array) -> dict[str, Array]:
 def _carry(mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld) -> None:
     """Lets the hand float, welded to a mocap body that represents the arm."""
     mount = spec.body(hand.mount)
-    mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]
+    mount.pos = [0, 0, 0]
+    mount.quat = [1, 0, 0, 0]
     mount.add_freejoint(name="mount")
     spec.worldbody.add_body(name="arm", mocap=True)
     data = np.zeros(mujoco.mjNEQDATA)
@@ -264,7 +272,8 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     spec.visual.global_.offwidth = SUPERSAMPLING * IMAGE_SIZE[0]
     spec.visual.global_.offheight = SUPERSAMPLING * IMAGE_SIZE[1]
     spec.stat.extent = 1.0  # the unit of the near and the far plane
-    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
+    spec.visual.map.znear = 0.02
+    spec.visual.map.zfar = 10.0
     for texture in list(spec.textures):
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             spec.delete(texture)
@@ -330,7 +339,8 @@ def convex_hull(path: str) -> tuple[Array, Any]:
     from handsight.objects.files import read_shape
 
     shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
-    vertices, name = shape.vertices, Path(path).name
+    vertices = shape.vertices
+    name = Path(path).name
     extent = float(np.ptp(vertices, axis=0).max())
     if not extent <= 0.5:  # a larger mesh is not in metres, or fits in no hand
         raise InvalidObject(f"{name}: expected metres, at most 0.5, got {extent:.3g}")

@@ -233,7 +233,8 @@ def tip_biases(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> Array
     rng = np.random.default_rng((seed, 12))
     # Of the Shadow hand, the fingers that grip can and box alike.
     gripping = [k for k, name in enumerate(fingers) if fingers != FINGERS or name not in ("rf", "lf")]
-    finger, direction = rng.choice(gripping), rng.normal(size=3)
+    finger = rng.choice(gripping)
+    direction = rng.normal(size=3)
     bias = np.zeros((len(fingers), 6))
     bias[finger, :3] = nuisances.tip_bias * direction / np.linalg.norm(direction)
     return bias

@@ -72,7 +72,9 @@ class Solid:
         They are infinite where the line misses the body, and negative where that surface is behind the point.
         """
         rate = self.normals @ direction
-        enters, leaves, beside = rate < -1e-12, rate > 1e-12, np.abs(rate) <= 1e-12
+        enters = rate < -1e-12
+        leaves = rate > 1e-12
+        beside = np.abs(rate) <= 1e-12
         along = np.where(beside, 1.0, rate)
         at = self.offsets / along - points @ (self.normals / along[:, None]).T
         begin = at[:, enters].max(axis=1, initial=-np.inf)
@@ -89,7 +91,8 @@ def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
     order = np.argsort(gaps)[: np.isfinite(gaps).sum()]
     if force <= 0 or not len(order):
         return np.zeros(len(gaps))
-    near, k = gaps[order], np.broadcast_to(stiffness, gaps.shape)[order]
+    near = gaps[order]
+    k = np.broadcast_to(stiffness, gaps.shape)[order]
     # The depth at which the nearest springs hold the force; the right number of them reaches no further spring.
     depth = (force + np.cumsum(k * near)) / np.cumsum(k)
     last = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
@@ -157,7 +160,9 @@ class ElasticSkin:
         found = np.zeros((len(self.places) + 1, 3))
         cosines = -self.normals @ push
         near = np.flatnonzero(cosines > 0.3)  # a body presses no skin that faces farther away
-        cosines, normals, taxels = cosines[near], self.normals[near], self.taxels[near]
+        cosines = cosines[near]
+        normals = self.normals[near]
+        taxels = self.taxels[near]
         R = T_link_solid[:3, :3]
         gaps = solid.distances((self.points[near] - T_link_solid[:3, 3]) @ R, -push @ R)
         gaps = gaps + np.append(np.broadcast_to(uneven, len(self.places)), 0.0)[taxels]

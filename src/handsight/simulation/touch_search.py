@@ -69,7 +69,8 @@ class Probe(World):
         kept in `recorded`, those on the way to a sweep too. Raises as `World` does.
         """
         rig = rig_of(scenario)
-        self._tips, self._finger = FingertipSensors(rig), rig.fingers[FINGER]
+        self._tips = FingertipSensors(rig)
+        self._finger = rig.fingers[FINGER]
         self._tip_index = list(rig.hand.tips).index(FINGER)
         self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
         R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
@@ -89,7 +90,8 @@ class Probe(World):
         self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self._on_table = False
-        self._recording, self.recorded = recording, list[Sample]()
+        self._recording = recording
+        self.recorded = list[Sample]()
         self._every = round(STEPS_PER_SECOND / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
 
@@ -178,7 +180,8 @@ class Probe(World):
         they are `needed` or recorded it yields none, for a sample takes longer than the simulation."""
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
-            self._arm, self._T_world_palm = arm[i : i + 1], T
+            self._arm = arm[i : i + 1]
+            self._T_world_palm = T
             self.step()
             if (needed or self._recording) and self.steps % self._every == 0:
                 self.refresh()
@@ -209,7 +212,8 @@ class Probe(World):
 
     def _turned(self, direction_world: Array) -> Array:
         """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
-        finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
+        finger = self._T_palm_finger[:3, 2]
+        front = np.array([0.0, -1.0, 0.0])
         down = np.sin(LEAN) * direction_world - np.cos(LEAN) * np.array([0.0, 0.0, 1.0])
         return se3.axes_along(down, direction_world) @ se3.axes_along(finger, front).T
 
@@ -267,16 +271,19 @@ def start_search(
     With `recording` the hand keeps all its samples. Raises as `simulate`.
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
-    seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
+    seed = int(scenario.seed)
+    sides = np.ptp(model.vertices @ R.T, axis=0)
     half = AREA_SIDE / 2 - min(sides[:2]) / 2
     if not half > 0:
-        size, most = " x ".join(f"{1000 * side:.0f}" for side in sides), 1000 * AREA_SIDE
+        size = " x ".join(f"{1000 * side:.0f}" for side in sides)
+        most = 1000 * AREA_SIDE
         raise InvalidInput(f"object: expected one within {most:.0f} mm, got {size} mm")
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    sigma_height, sigma_tilt = 0.0015, math.radians(0.5)
+    sigma_height = 0.0015
+    sigma_tilt = math.radians(0.5)
     table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
     return probe, Belief(with_symmetries_of_touch(model, SIGMA_TIP), area, seed)

@@ -83,7 +83,8 @@ def calibrations(
     camera = tracker.rig.camera
     if camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
-    first, turned = None, 0.0
+    first = None
+    turned = 0.0
     for step in replay(observations, tracker, tally):
         if not step.fingers or not step.estimate.consistent or step.T_palm_object_vision is None:
             continue
@@ -131,11 +132,15 @@ class HandViews:
 
     def __init__(self, rig: Rig) -> None:
         """Nothing is gathered if the rig's camera has no intrinsics, or its hand no shapes."""
-        self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
+        self._rig = rig
+        self._views = list[tuple[Array, Array, Array]]()
         """Of each view: T_mount_camera (4, 4), the hand's middle in the mount (3,) [m], and a covariance (6, 6)."""
-        self._last, self.images, self.refusals = -np.inf, 0, Counter[str]()
+        self._last = -np.inf
+        self.images = 0
+        self.refusals = Counter[str]()
         """Stamp of the last image that was used [s], their number, and why the palm was not detected in some."""
-        camera, self._hand = rig.camera, HandInImage(rig)
+        camera = rig.camera
+        self._hand = HandInImage(rig)
         known = camera is not None and camera.intrinsics is not None and camera.size is not None
         self._camera = Camera.of(camera) if known else None
 
@@ -146,7 +151,9 @@ class HandViews:
             yield observation
 
     def _watch(self, observation: Observation) -> None:
-        depth, joints, camera = observation.depth, observation.joint_positions, self._rig.camera
+        depth = observation.depth
+        joints = observation.joint_positions
+        camera = self._rig.camera
         if depth is None or self._camera is None or camera is None:
             return
         T_mount_palm = np.eye(4) if camera.on == "palm" else observation.T_world_palm
@@ -174,10 +181,12 @@ class HandViews:
         if len(self._views) < MIN_VIEWS or self._rig.camera is None:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
-        pivot, T_rig = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
+        pivot = np.median(pivots, axis=0)
+        T_rig = self._rig.camera.T_mount_camera
         corrections = np.stack([correction_between(T_rig, T, pivot) for T in Ts])
         away = np.abs(corrections[:, None] - corrections)
-        shift, turn = away[..., :3].max(axis=2), away[..., 3:].max(axis=2)
+        shift = away[..., :3].max(axis=2)
+        turn = away[..., 3:].max(axis=2)
         far = np.maximum(shift / MAX_SHIFT, turn / MAX_TURN)
         agree = far[np.median(far, axis=1).argmin()] < 1
         if agree.sum() < MIN_VIEWS:

@@ -52,7 +52,8 @@ class HandView:
     def same_side(self, other: "HandView") -> bool:
         """Returns whether the camera detected the palm from about the same side as in another view."""
         off = se3.difference(self.pose_mount_palm.T_a_b, other.pose_mount_palm.T_a_b)
-        shift, turn = np.linalg.norm(off[:3]), np.linalg.norm(off[3:])
+        shift = np.linalg.norm(off[:3])
+        turn = np.linalg.norm(off[3:])
         return bool(shift < OTHER_SIDE_POSITION and turn < OTHER_SIDE_ROTATION)
 
 

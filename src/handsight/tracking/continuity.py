@@ -42,7 +42,8 @@ def disputed(
     rejects = bool(new.outliers) and not known.outliers
     if not far and not rejects and new.consistent:
         return None
-    since, variance = now if last.disputed_at is None else last.disputed_at, creep
+    since = now if last.disputed_at is None else last.disputed_at
+    variance = creep
     if now - since >= CONFIRM_AFTER - 1e-9:
         if not far or not new.consistent:
             return None

@@ -23,7 +23,9 @@ REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), 
 CONFLICT = 21.1
 """χ² of the distance of a tip's patch and its wrench's contact, of level 1e-4 for three numbers, above which they
 contradict each other."""
-FREE, ON_TABLE, NO_READING = REASON_NAMES.index("free"), len(REASONS) - 1, REASONS.index("silent")
+FREE = REASON_NAMES.index("free")
+ON_TABLE = len(REASONS) - 1
+NO_READING = REASONS.index("silent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +63,8 @@ class FingertipSensors:
 
     def __init__(self, rig: Rig) -> None:
         """The rig's hand must have a tip for every finger."""
-        self.rig, self.names = rig, tuple(rig.fingers)
+        self.rig = rig
+        self.names = tuple(rig.fingers)
         self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
         self._fingers = np.array([finger_record(finger) for finger in rig.fingers.values()], dtype=FINGER)
         self._offsets = JointOffsets.of(rig)
@@ -110,9 +113,13 @@ class FingertipSensors:
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
-        n, j = len(fingers), by_error.shape[2]
-        points, normals, covariance = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
-        loads, moved = np.empty((n, 5)), np.empty((n, 6, j))
+        n = len(fingers)
+        j = by_error.shape[2]
+        points = np.empty((n, 3))
+        normals = np.empty((n, 3))
+        covariance = np.empty((n, 6, 6))
+        loads = np.empty((n, 5))
+        moved = np.empty((n, 6, j))
         kernels.gather_contacts(records, by_error, points, normals, covariance, loads, moved)
         contacts = Contacts.trusted(points, normals, covariance)
         by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
@@ -131,8 +138,11 @@ class FingertipSensors:
         The joints' errors are common to patch and wrench, so they hardly count in their distance. Where they contradict
         each other, the contact is as uncertain as they are far from each other.
         """
-        fingers, i = list(skin.tips), np.array([self.names.index(finger) for finger in skin.tips])
-        wrench, J_wrench, by_error[i] = records[i], by_error[i, :3], by_tip[i]
+        fingers = list(skin.tips)
+        i = np.array([self.names.index(finger) for finger in skin.tips])
+        wrench = records[i]
+        J_wrench = by_error[i, :3]
+        by_error[i] = by_tip[i]
         kernels.put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
         if not (both := wrench["reason"] == 0).any():
             return {}
@@ -193,7 +203,8 @@ def put_sensed(
     for i, (name, finger) in enumerate(rig.fingers.items()):
         if name not in contacts:
             continue
-        contact, argument = contacts[name], f"observation.contacts[{name!r}]"
+        contact = contacts[name]
+        argument = f"observation.contacts[{name!r}]"
         if not isinstance(contact, ContactMeasurement | None):
             came = type(contact).__name__
             raise InvalidInput(f"{argument}: expected a ContactMeasurement or None, got {came}")
@@ -205,10 +216,12 @@ def put_sensed(
         palm = np.eye(4)
         frames = {"tip": T_palm_surface, "palm": palm, rig.hand.palm: palm, finger.frame: T_palm_tip}
         if contact.frame not in frames:
-            known, came = ", ".join(frames), checks.brief(repr(contact.frame))
+            known = ", ".join(frames)
+            came = checks.brief(repr(contact.frame))
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
         T = frames[contact.frame]
-        point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
+        point = T[:3, :3] @ contact.point + T[:3, 3]
+        normal = T[:3, :3] @ contact.normal
         if (point - T_palm_surface[:3, 3]) @ normal > 0:
             normal = -normal  # some sensors report the direction in which the tip pushes
         J = by_error[i]

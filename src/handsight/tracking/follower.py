@@ -55,9 +55,11 @@ RENEW_AFTER = 0.02
 """A propagated covariance is renewed when it is older [s]: in that time it grows by a micrometre or so."""
 
 
-MOVED, TURNED = 0.001, float(np.deg2rad(5))
+MOVED = 0.001
+TURNED = float(np.deg2rad(5))
 """The pose is corrected when a contact has moved by so much in the palm [m], or its normal by so much [rad]."""
-REGRASP_POSITION, REGRASP_ROTATION = 0.005, float(np.deg2rad(3))
+REGRASP_POSITION = 0.005
+REGRASP_ROTATION = float(np.deg2rad(3))
 """How far the object may be pushed [m] and turned [rad] when a finger comes or goes, one sigma per axis."""
 
 
@@ -91,7 +93,10 @@ class Follower:
     ) -> None:
         """The arguments are those of `Tracker`."""
         self.source = source
-        self.rig, self.model, self.settings, s = rig, model, settings, settings
+        self.rig = rig
+        self.model = model
+        self.settings = settings
+        s = settings
         self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
         self.skin_sensors = SkinSensors(rig)
@@ -196,12 +201,15 @@ class Follower:
             state.observed_at = stamp
         if state.smoother is not None and not state.smoother.is_near:
             # The palm has moved so far away that the hand cannot hold the object.
-            state.smoother, state.correction, state.estimate = _started(state.vision, state.start), None, None
+            state.smoother = _started(state.vision, state.start)
+            state.correction = None
+            state.estimate = None
             state.progress = None
         if vision or touch.contacts is not None:
             state.measured_at = stamp
         if state.smoother is None:
-            state.label, state.reason = "lost", NO_POSE
+            state.label = "lost"
+            state.reason = NO_POSE
             return None
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
@@ -250,10 +258,14 @@ class Follower:
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
-        last, pose, T, table = state.correction, smoother.now, state.T_world_palm, self.rig.table
+        last = state.correction
+        pose = smoother.now
+        T = state.T_world_palm
+        table = self.rig.table
         if change == "released":
             # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
-            state.offsets, state.learnt_from = self.joint_offsets(state), last
+            state.offsets = self.joint_offsets(state)
+            state.learnt_from = last
             touch = None if last is None else last.estimate
             if last is not None and touch is not None and state.table is not None:
                 # The table may be misplaced, and the next grasp would count it a second time: contacts alone stay.
@@ -272,7 +284,8 @@ class Follower:
 
     def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
         """Updates the smoother by the observation's image, or by its pose from vision if it has no image."""
-        known, grasped = state.estimate, state.grasp.grasped
+        known = state.estimate
+        grasped = state.grasp.grasped
         T_palm_object = known.T_palm_object if known is not None and grasped else None
         processed, hand = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
         state.processed, before = processed, state.smoother
@@ -285,7 +298,8 @@ class Follower:
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         latency = self.camera.latency if state.smoother is None else state.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
-        past, T_then_now = state.images.history.palm_at(stamp, latency), EYE
+        past = state.images.history.palm_at(stamp, latency)
+        T_then_now = EYE
         if self.settings.concurrent_images and vision is not observation.vision:  # maybe seconds late
             if stamp < state.grasp.since or (grasped and past is None):
                 return
@@ -310,7 +324,8 @@ class Follower:
             return False
         if last is None or failure is not None:
             return True
-        age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
+        age = state.stamp - last.stamp
+        regrasped = state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_PERIOD if regrasped else RECOVERY_PERIOD)
         if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
@@ -332,7 +347,8 @@ class Follower:
         state.progress, found = self._runner.run(progress, steps_in(elapsed))
         if found is None:
             return
-        started, seconds = progress.started, state.stamp - progress.started.stamp
+        started = progress.started
+        seconds = state.stamp - progress.started.stamp
         for name in CORRECTED:
             setattr(state, name, getattr(found, name))
         if found.smoother is not started.smoother and found.smoother is not None:  # by another prior
@@ -349,14 +365,18 @@ class Follower:
         smoother's pose as prior."""
         state = _Next(started)
         state.failure = None
-        touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
+        touch = state.fingertips
+        now = state.stamp
+        last = state.correction
+        skin = state.skin
         touched, smoother, observed = touch.contacts, state.smoother, state.processed
         assert touched is not None and smoother is not None  # noqa: PT018
         smoother = smoother if state.table is None else state.table.smoother(smoother)
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
         joints = None if observed is None else observed.joint_positions
         links = self.hand.at(joints and state.offsets.corrected(joints))
-        pressed, evidence = skin.evidence(), state.weight.evidence()
+        pressed = skin.evidence()
+        evidence = state.weight.evidence()
         prior = smoother.without_touch
         problem, patches = problem_of(self.model, contacts, prior, links, evidence, pressed)
 
@@ -371,19 +391,24 @@ class Follower:
 
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
-        estimate, searched_at = None, now
+        estimate = None
+        searched_at = now
         others: Sequence[np.void] = ()
         same = last is not None and touch.fingers == last.fingers
         if last is not None and same and (state.observed_at <= last.stamp or pressed is not None):
-            near, age = last.estimate, now - last.searched_at
+            near = last.estimate
+            age = now - last.searched_at
             ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > RELEVANT_WEIGHT
             search = age >= (RECOVERY_PERIOD if ambiguous else SEARCH_PERIOD)
             search = search or last.disputed_at is not None
             if near.consistent and not near.outliers and not search:
                 estimate = yield from refine(prior, near.T_palm_object_maximum)
-                others, searched_at = last.modes[1:], last.searched_at
+                others = last.modes[1:]
+                searched_at = last.searched_at
         if estimate is None:
-            estimate, others, searched_at = (yield from correct(prior)), (), now
+            estimate = yield from correct(prior)
+            others = ()
+            searched_at = now
 
         # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
@@ -399,8 +424,11 @@ class Follower:
         if last is not None and touch.fingers == last.fingers and not state.slip.now.slipping:
             creep = process_variance(self.process_noise, now - last.stamp)
             if kept := disputed(self.model, last, estimate, creep, now):
-                state.correction, state.estimate, state.propagated_to = kept, kept.estimate, now
-                state.corrections, state.table = state.corrections + 1, table
+                state.correction = kept
+                state.estimate = kept.estimate
+                state.propagated_to = now
+                state.corrections = state.corrections + 1
+                state.table = table
                 return state
         if not estimate.consistent and now - state.recovered_at >= RECOVERY_PERIOD:
             state.recovered_at = now
@@ -467,7 +495,8 @@ class Follower:
         The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
         smoother and the table of the one that fits replace the state's.
         """
-        known, more = state.smoother, (INFLATION - 1) * prior.covariance.diagonal()
+        known = state.smoother
+        more = (INFLATION - 1) * prior.covariance.diagonal()
         if known is None:
             return estimate, prior
         table = None if state.table is None else state.table.restarted(known, np.diag(more))

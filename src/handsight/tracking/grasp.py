@@ -43,13 +43,18 @@ class GraspState:
 
         "regrasped" means that so few of the fingers have stayed that the object may have moved.
         """
-        now, grasped, lowest = frozenset(fingers), self.grasped, self.lowest
+        now = frozenset(fingers)
+        grasped = self.grasped
+        lowest = self.lowest
         touched_at = stamp if now else self.touched_at
         change: GraspChange | None = None
         if grasped and stamp - touched_at > RELEASE_AFTER:
-            grasped, lowest, change = False, None, "released"
+            grasped = False
+            lowest = None
+            change = "released"
         elif now and not grasped:
-            grasped, change = True, "grasped"
+            grasped = True
+            change = "grasped"
         elif now and now != self.fingers and len(now & self.fingers) < MIN_FINGERS:
             change = "regrasped"
         lifted = grasped and self.lifted

@@ -37,9 +37,11 @@ class SearchHints:
         if new is not None or observation.mask is not None:
             found = [each for each in new or () if each.label in ("", self.label)]
             found += [] if observation.mask is None else mask_of(observation.mask, self.label)
-            detections, detected = tuple(found), now
+            detections = tuple(found)
+            detected = now
         if vision is not None and vision.frame == "camera":
-            T, estimated = vision.T_frame_object, now
+            T = vision.T_frame_object
+            estimated = now
         detections = detections if abs(now - detected) <= MAX_AGE else ()
         T = T if abs(now - estimated) <= MAX_AGE else None
         return SearchHints(self.label, self.elsewhere, detections, T, (detected, estimated))

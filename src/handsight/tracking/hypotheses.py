@@ -42,9 +42,13 @@ class Alternatives:
     @classmethod
     def of(cls, model: ObjectModel, parts: Sequence[tuple[float, PoseEstimate]]) -> "Alternatives":
         """Returns the alternatives of several (probability, estimate), the likeliest first, of which one is true."""
-        first, T = parts[0][0], parts[0][1].T_palm_object
+        first = parts[0][0]
+        T = parts[0][1].T_palm_object
         covariance = parts[0][1].bounded_covariance
-        near, mean, spread, others = first, np.zeros(6), np.zeros((6, 6)), list[np.void]()
+        near = first
+        mean = np.zeros(6)
+        spread = np.zeros((6, 6))
+        others = list[np.void]()
         for probability, row in ((p * float(row["weight"]), row) for p, e in parts[1:] for row in e.modes):
             step = se3.difference(model.nearest(row["T_palm_object"], T), T)
             own = bounded_covariance(row["information"])
@@ -69,7 +73,8 @@ class Alternatives:
         known = vectors[:, values > 1e-9 * values[-1]].T * np.repeat([1.0, model.radius], 3)
         covariance = self.share * estimate.bounded_covariance + self.spread
         information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
-        T, complete = se3.moved(estimate.T_palm_object, self.mean), estimate.covariance is not None
+        T = se3.moved(estimate.T_palm_object, self.mean)
+        complete = estimate.covariance is not None
         best = estimate.with_gaussian(T, covariance if complete and len(known) == 6 else None, information)
         best.answer["weight"] *= likeliest
         return with_others(model, best, (*own, *self.others))
@@ -118,7 +123,8 @@ def log_evidence(model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -
     It is Laplace's approximation at each mode. A contact that was rejected counts as if it were just as far off as is
     rejected, and so does the weight, so that rejecting a measurement does not pay.
     """
-    row, radius = estimate.modes[0], model.radius
+    row = estimate.modes[0]
+    radius = model.radius
     if row["departure"] > INTEGRATION.max_gaussian_rise:  # a mean, whose volume was integrated
         log_weight = float(row["log_weight"])
     else:

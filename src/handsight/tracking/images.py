@@ -88,7 +88,8 @@ class History:
         then = self.at(stamp - latency)
         if then is None or then.T_world_palm is None:
             return None
-        before, after = self.at(then.stamp - PALM_TWIST), self.at(then.stamp + PALM_TWIST)
+        before = self.at(then.stamp - PALM_TWIST)
+        after = self.at(then.stamp + PALM_TWIST)
         ends = [each for each in (before, after) if each is not None and each.T_world_palm is not None]
         twist = STILL.twist
         if len(ends) == 2 and ends[1].stamp > ends[0].stamp:
@@ -176,9 +177,12 @@ class ImageVision:
         """
         now = Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
         self.history = self.history.after(now)
-        camera, depth, hand = self._rig.camera, observation.depth, None
+        camera = self._rig.camera
+        depth = observation.depth
+        hand = None
         if self._on and camera is not None:
-            self._hints, taken = self._hints.after(observation), None
+            self._hints = self._hints.after(observation)
+            taken = None
             if depth is not None:
                 self._images = self._images or self._follow(self._rig, self._model)
                 stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
@@ -191,7 +195,8 @@ class ImageVision:
                 # Where the image does not show the object, a pose from outside may still know where it is.
                 if result.vision is not None or vision is None or vision.frame != "camera":
                     return replace(observation, vision=result.vision), hand
-        vision, followed = observation.vision, self._images is not None and not self._images.lost
+        vision = observation.vision
+        followed = self._images is not None and not self._images.lost
         if followed and depth is None and vision is not None and vision.frame == "camera":
             # This camera's images are the better measurement, so poses that come between them are left out.
             observation = replace(observation, vision=None)
@@ -251,7 +256,8 @@ class ObjectInImages:
 
     def _distance(self, found: Sighting, expected: Array) -> float:
         """Returns how far the middle of a found object is from where it is expected [m]; 0 for one that is lost."""
-        T, center = found.T_camera_object, np.append(self.tracker.model.center_object, 1.0)
+        T = found.T_camera_object
+        center = np.append(self.tracker.model.center_object, 1.0)
         return 0.0 if T is None else float(np.linalg.norm((T - expected)[:3] @ center))
 
     def _observe_hand(

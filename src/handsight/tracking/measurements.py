@@ -132,7 +132,8 @@ class VisionUpdate:
         c = self.camera
         constant = np.array([c.sigma_position_constant, c.sigma_rotation_constant])
         bias = np.diag(np.repeat(np.maximum(constant, LEAST_SIGMA) ** 2, 3))
-        pose, errors = (T_palm_object, invertible(covariance)), (c.drift, (c.latency, c.sigma_latency))
+        pose = (T_palm_object, invertible(covariance))
+        errors = (c.drift, (c.latency, c.sigma_latency))
         smoother = PoseBiasSmoother.from_prior(*pose, bias, pivot, *errors)
         for view in self.camera_from_palm.confirmed:
             smoother = smoother.informed(view.bias(pivot))

@@ -56,7 +56,8 @@ COVERAGE = 6 * 6.163132282688632 / chi2_limit(6, 0.05)
 `NOISE_FREEDOM`. The F(6, 4) is a number, as loading SciPy for it takes a fifth of a second."""
 OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
-TOUCH, OBJECT = "touch", "object"
+TOUCH = "touch"
+OBJECT = "object"
 """Names of the misfits of all contacts together: those that a finger may cause, and those that none can."""
 SUSPICIONS = {OBJECT: OTHER_OBJECT, TOUCH: FINGER_OR_OBJECT}
 """What these suggest, the worse first."""
@@ -191,7 +192,8 @@ class Innovations:
     def covered(self, model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -> PoseEstimate:
         """Returns a correction's estimate with the information of touch divided by its coverage factor; `prior` is
         that of the correction."""
-        touch, unit = self.misfits[TOUCH], np.repeat([1.0, model.radius], 3)
+        touch = self.misfits[TOUCH]
+        unit = np.repeat([1.0, model.radius], 3)
         scale = (NOISE_FREEDOM + touch.nis) / (NOISE_FREEDOM + touch.expected)
         lost = 1 - 1 / (COVERAGE * max(scale, 1.0))
         # In coordinates y = U' x, the information U U' is the identity, and that of the prior is at most that.
@@ -201,7 +203,8 @@ class Innovations:
         U = vectors[:, known] * np.sqrt(values[known]) * unit[:, None]
         prior_variances, axes = np.linalg.eigh(U.T @ prior.covariance @ U)
         left = 1 - lost * (1 - 1 / np.maximum(prior_variances, 1.0))
-        information, covariance = (U @ axes * left) @ (U @ axes).T, None
+        information = (U @ axes * left) @ (U @ axes).T
+        covariance = None
         if estimate.covariance is not None:
             W = vectors / np.sqrt(values) / unit[:, None] @ axes
             covariance = (W / left) @ W.T

@@ -50,7 +50,8 @@ def expected(Ts: Array, pivot: Array, T_mount_palm: Array) -> Array:
     """Returns the object's poses (..., 4, 4) that vision should measure from poses of the palm (..., 4, 4), but for the
     drift: E (T_mount_palm T_palm_object), E being the bias about the pivot."""
     T = T_mount_palm @ Ts[0]
-    E, shift = Ts[1, :3, :3], Ts[1, :3, 3]
+    E = Ts[1, :3, :3]
+    shift = Ts[1, :3, 3]
     return se3.compose(E @ T[..., :3, :3], pivot + shift + (T[..., :3, 3] - pivot) @ E.T)
 
 

@@ -93,7 +93,8 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             message = str(error)
             known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
             tally.refused[message if known else "others"] += 1
-            stamp, last = getattr(observation, "stamp", None), tally.counted_to
+            stamp = getattr(observation, "stamp", None)
+            last = tally.counted_to
             if isinstance(stamp, float) and (0 < stamp - last <= MAX_JUMP or math.isnan(last)):
                 _count(tally, stamp)
             continue

@@ -39,7 +39,8 @@ class Runner:
         # At once, as copies of a tracker may be updated by several threads.
         kept = vars(self).pop("_kept", None)
         if kept is None or kept[0].started is not started or kept[0].steps != done:
-            steps, count = self._begin(started), done + count
+            steps = self._begin(started)
+            count = done + count
             done = 0
         else:
             steps = kept[1]

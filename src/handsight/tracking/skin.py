@@ -62,7 +62,8 @@ class Watched:
 
     def after(self, readings: Array, touch: SkinTouch, *, untouched: bool) -> "Watched":
         """Returns what is known after one more reading (n, components), and what it says."""
-        taxels, baseline = self.taxels.copy(), np.empty_like(self.baseline)
+        taxels = self.taxels.copy()
+        baseline = np.empty_like(self.baseline)
         given = readings, touch.surface.record, touch.states, touch.rise, untouched, self.count
         return Watched(watch_taxels(*given, taxels, baseline), taxels, baseline)
 
@@ -130,7 +131,8 @@ class SkinContacts:
             given = touch.strongest if name in self.tips.values() else -1
             if len(touch.patches) > (given >= 0):
                 T, J = pose.placed
-                contacts, sigmas = touch.contacts(T, J, given), touch.sigmas_common(J, given)
+                contacts = touch.contacts(T, J, given)
+                sigmas = touch.sigmas_common(J, given)
                 more = SkinEvidence(contacts, touch.outside(T), sigmas, touch.sigma_clearance)
                 found = more if found is None else found.joined(more)
         return found
@@ -179,8 +181,11 @@ class SkinSensors:
         """
         if not self.rig.skin:
             return NOTHING
-        touches, watched = dict[str, tuple[SkinTouch, LinkPose]](), dict(before.watched)
-        tips, wrenches, joints = dict[str, str](), dict[str, Array](), observation.joint_positions
+        touches = dict[str, tuple[SkinTouch, LinkPose]]()
+        watched = dict(before.watched)
+        tips = dict[str, str]()
+        wrenches = dict[str, Array]()
+        joints = observation.joint_positions
         for name, surface in self.rig.skin.items():
             if name not in observation.skin:
                 continue

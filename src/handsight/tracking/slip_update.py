@@ -61,7 +61,8 @@ class SlipUpdate:
         if not now.slipping or contacts is None or loads is None:
             self._sigma = 0.0
             return smoother
-        before, lasts = self._sigma, stamp - now.began + ONSET_DELAY
+        before = self._sigma
+        lasts = stamp - now.began + ONSET_DELAY
         self._sigma = min(SIGMA_SPEED * lasts, MAX_TRAVEL)
         state = smoother.now
         twist = slip_twist(contacts, loads, state.T_palm_object[:3, 3])

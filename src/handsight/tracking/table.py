@@ -55,7 +55,8 @@ class Support:
 
 def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
     """Returns all supports of an object with these resting poses; their probabilities sum to 1."""
-    rests, wrong = 1 - LEANS, PROBABILITY_MISPLACED
+    rests = 1 - LEANS
+    wrong = PROBABILITY_MISPLACED
     some = [
         Support(pose, factors, rests * share * pose.probability)
         for factors, share in (((1.0, 1.0), 1 - wrong), (MISPLACED, wrong))
@@ -212,10 +213,14 @@ class TableEvidence:
 
         `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
         """
-        T, table, up = state.T_palm_object, self.table, self.T_world_palm[2, :3]
-        R, across = T[:3, :3], se3.skew(up)
+        T = state.T_palm_object
+        table = self.table
+        up = self.T_world_palm[2, :3]
+        R = T[:3, :3]
+        across = se3.skew(up)
         rests = [(each.pose, each.factors) for each in supports if each.pose is not None]
-        k, near = len(rests), {pose: pose.near(-up @ R) for pose, _ in rests}
+        k = len(rests)
+        near = {pose: pose.near(-up @ R) for pose, _ in rests}
         down = np.array([near[pose][0] for pose, _ in rests]).reshape(k, 3) @ R.T
         arms = np.array([pose.center_object for pose, _ in rests]).reshape(k, 3) @ R.T
         # The rotation that brings a side down, about two horizontal axes; a table does not measure the yaw.
@@ -224,17 +229,22 @@ class TableEvidence:
         sines = np.linalg.norm(turns, axis=1)
         angles = np.arctan2(sines, -down @ up)
         turns *= np.where(sines > ROUNDING, angles / np.maximum(sines, ROUNDING), 1.0)[:, None]
-        H, residuals = np.zeros((k, 3, 12)), np.empty((k, 3))
-        H[:, 0, :3], H[:, 0, 3:6], H[:, 1:, 3:6] = up, arms @ across, axes
+        H = np.zeros((k, 3, 12))
+        residuals = np.empty((k, 3))
+        H[:, 0, :3] = up
+        H[:, 0, 3:6] = arms @ across
+        H[:, 1:, 3:6] = axes
         heights = table.height + np.array([near[pose][1] for pose, _ in rests]) - self.T_world_palm[2, 3]
-        residuals[:, 0], residuals[:, 1:] = heights - (T[:3, 3] + arms) @ up, turns @ axes.T
+        residuals[:, 0] = heights - (T[:3, 3] + arms) @ up
+        residuals[:, 1:] = turns @ axes.T
         # A covariance must be invertible.
         factors = np.array([factors for _, factors in rests]).reshape(k, 2)
         variances = (factors * np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)) ** 2
         noise = H[:, :, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :, :6].swapaxes(1, 2)
         noise[:, 0, 0] += variances[:, 0]
         # A direction that differs by d turns the object by d x up.
-        by_side, spreads = axes @ across @ R, np.array([near[pose][2] for pose, _ in rests]).reshape(k, 3, 3)
+        by_side = axes @ across @ R
+        spreads = np.array([near[pose][2] for pose, _ in rests]).reshape(k, 3, 3)
         noise[:, 1:, 1:] += variances[:, 1, None, None] * np.eye(2) + by_side @ spreads @ by_side.T
         return H, residuals, noise
 
@@ -253,7 +263,8 @@ class TableEvidence:
         now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), covariance)
         (H,), (off,), _ = self.measured(now, [support])
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))
-        height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
+        height = self.table.height - float(off[0])
+        tilt = float(np.linalg.norm(off[1:]))
         doubt = self.doubt(estimate)
         return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, doubt)
 

@@ -90,7 +90,9 @@ class Tracker:
                 )
             model = model.with_friction(*friction)
         warm_tracker()
-        self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
+        self.rig = rig
+        self.model = model
+        self.settings = settings or TrackerSettings()
         self.follower = Follower(rig, model, self.settings, source)
         """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
@@ -131,7 +133,8 @@ class Tracker:
             jumps = last.stamp > -math.inf and abs(ahead) > MAX_JUMP
             if jumps and (held is None or abs(clean.stamp - held.stamp) >= abs(ahead)):
                 return self._hold(clean, ahead)
-            known, restarted = last, self._restarted
+            known = last
+            restarted = self._restarted
             if jumps and held is not None:
                 if ahead < 0:
                     known = self._new_track()
@@ -147,7 +150,9 @@ class Tracker:
             raise
         if held is not None and not jumps:
             self.late += 1
-        self._held, self._restarted, self.track_state = None, restarted, state
+        self._held = None
+        self._restarted = restarted
+        self.track_state = state
         if state is not last:
             self.state, self.reason = state.label, state.reason
         if late:

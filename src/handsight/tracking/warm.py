@@ -137,7 +137,9 @@ def find_hand() -> None:
     hand = _hand()
     if hand is None:
         return
-    shape, camera, joints = hand.shape(), _camera(160, 120), dict.fromkeys(hand.moving, 0.0)
+    shape = hand.shape()
+    camera = _camera(160, 120)
+    joints = dict.fromkeys(hand.moving, 0.0)
     T = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0.5], [0, 0, 0, 1]])
     depth = _drawn(camera, se3.apply(T, shape.vertices_palm(joints)), shape.faces)
     placed = HandAppearance.of(hand).placed(joints)

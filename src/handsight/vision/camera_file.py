@@ -57,7 +57,8 @@ UNITS = (
     "depthunitscalefactor",
 )
 """Names of the unit of depth images that are whole numbers."""
-MOST_METRES, LEAST_STEPS = 0.01, 100.0
+MOST_METRES = 0.01
+LEAST_STEPS = 100.0
 """A unit up to the first is metres a step (RealSense), from the second on steps a metre (TUM, ORB-SLAM, NICE-SLAM), and
 between them millimetres a step (BOP)."""
 KNOWN = {*LENS, *COEFFICIENTS, *MODEL}

@@ -31,7 +31,9 @@ MOST_PIXELS = 20_000_000  # of a compressed image, which a kilobyte may hold
 MIN_SCALE, MAX_SCALE = 1e-7, 1.0  # of one step of a depth image [m]
 EXR_DEPTH = ("z", "depth", "v")
 """Names of a channel of depth, behind those of a layer, as Blender writes them."""
-SENTINEL_SHARE, SENTINEL_LEAST, SENTINEL_GAP = 0.01, 20, 1.5
+SENTINEL_SHARE = 0.01
+SENTINEL_LEAST = 20
+SENTINEL_GAP = 1.5
 """A value stands for no measurement where more than this share of a sample of pixels, and more than so many, have it,
 and all others are less by this factor."""
 UNITS = {1.0: "metres", 1e-3: "millimetres", 2.5e-4: "steps of 0.25 mm", 2e-4: "TUM's 5000 steps a metre"}

@@ -37,9 +37,12 @@ HIDDEN = 1.6
 """How many times as large the object may look as what is seen of it."""
 UNTOUCHED = 6.0
 """How many times as large it may be as the touches are apart."""
-CANDIDATES, EACH = 10, 3
+CANDIDATES = 10
+EACH = 3
 """Poses that are refined: of an image in all, of touches at each scale."""
-POINTS, RAYS, INDEPENDENT = 300, 80, 20
+POINTS = 300
+RAYS = 80
+INDEPENDENT = 20
 """Depth points and lines of sight that refine them, and for how many each of both kinds counts: neighbours share the
 errors of the mesh and of the camera."""
 ROBUST = 5.0
@@ -56,7 +59,8 @@ MOST_SIGMA = 0.05
 """Share of the scale from which on the evidence counts as leaving it open."""
 FLAT = 0.01
 """Mean square of the normals' second component, of that of the first, below which they are those of one plane."""
-BRIEFLY, STEPS = 8, 40
+BRIEFLY = 8
+STEPS = 40
 """Most steps of a refinement of each start, and of the best ones."""
 
 
@@ -265,7 +269,8 @@ def scale_by_depth(
     if len(pixels) < 4 * INDEPENDENT:
         raise ScaleUnknown(f"expected depth in the mask, got {len(pixels)} points there")
     extent = _extent(pixels["point"])
-    low, high = 0.9 * extent / model.diameter, 1.1 * HIDDEN * extent / _narrowest(model)
+    low = 0.9 * extent / model.diameter
+    high = 1.1 * HIDDEN * extent / _narrowest(model)
     scene = scene_of(camera, depth, wanted=mask, extent=MAX_PLANE * high * model.diameter)
     if not len(scene.sizes):
         raise ScaleUnknown(f"expected the object in the mask, got none: {scene.reason}")
@@ -323,7 +328,8 @@ def scale_by_touch(model: ObjectModel, contacts: Contacts, *, vision: PosePrior 
         sigma_edges=np.empty(0),
         prior=vision,
     )
-    low, high = 0.9 * extent / model.diameter, UNTOUCHED * extent / model.diameter
+    low = 0.9 * extent / model.diameter
+    high = UNTOUCHED * extent / model.diameter
     few = contacts.with_own_errors()
     few = few if len(few) <= FEW else few.select(spread(few, FEW))
     wider = few.covariance.copy()

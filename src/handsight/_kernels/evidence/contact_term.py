@@ -52,9 +52,11 @@ Factor = tuple[float, Vec3, Vec3, Vec3]
 @inner
 def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
     """Returns the object's surface near a palm point."""
-    R, place = pose[0], apply_inverse(pose, point)
+    R = pose[0]
+    place = apply_inverse(pose, point)
     d, g, H = field_at(nodes, field, place)
-    g, H = mul(R, g), matmul(matmul(R, H), transpose(R))
+    g = mul(R, g)
+    H = matmul(matmul(R, H), transpose(R))
     s = 1 / max(norm(g), 1e-9)
     n = scale(g, s)
     # d(g/|g|) = (I - n nᵀ) dg / |g|
@@ -73,14 +75,18 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
         store(vector(contact.point), own.point)
         store(vector(contact.normal), own.normal)
         own.has_normal, own.used = contact.has_normal, contact.used
-        point, normal, off = C[0, 0] + C[1, 1] + C[2, 2], C[3, 3] + C[4, 4] + C[5, 5], 0.0
+        point = C[0, 0] + C[1, 1] + C[2, 2]
+        normal = C[3, 3] + C[4, 4] + C[5, 5]
+        off = 0.0
         for j in range(6):
             for k in range(6):
                 own.covariance[j, k] = C[j, k]
                 if j < 3:
                     off = max(off, abs(C[j, k] - (point / 3 if j == k else 0.0)))
         term.isotropic = off <= 1e-12 * point
-        term.variance_point, term.variance_normal, term.crowd = point / 3, normal / 2, 1.0
+        term.variance_point = point / 3
+        term.variance_normal = normal / 2
+        term.crowd = 1.0
         center = add(center, scale(vector(contact.point), 1 / len(contacts)))
     return center
 
@@ -137,7 +143,10 @@ def whiten(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> N
 def contact_cost(evidence: Any, pose: Pose) -> float:
     """Returns the squared residuals of all contacts in use, plus the log determinants of their covariances, on the fine
     field."""
-    model, nodes, field, total = evidence.model, evidence.nodes, evidence.model.fine, 0.0
+    model = evidence.model
+    nodes = evidence.nodes
+    field = evidence.model.fine
+    total = 0.0
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:
@@ -162,12 +171,14 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
     of_distance, of_normal = field_error(model.error, nodes, place)
     if term.isotropic:
         v = term.variance_point
-        distance, both = v * dot(g, g), scale(mul(K, g), v)
+        distance = v * dot(g, g)
+        both = scale(mul(K, g), v)
         normal = add33(scale33(matmul(K, transpose(K)), v), block(contact.covariance, 3, 3))
     else:
         P, X = block(contact.covariance, 0, 0), block(contact.covariance, 0, 3)
         Pg, KX = mul(P, g), matmul(K, X)
-        distance, both = dot(g, Pg), sub(mul(K, Pg), tmul(X, g))
+        distance = dot(g, Pg)
+        both = sub(mul(K, Pg), tmul(X, g))
         normal = add33(matmul(matmul(K, P), transpose(K)), block(contact.covariance, 3, 3))
         normal = sub33(normal, add33(KX, transpose(KX)))
     of_distance = term.crowd * (of_distance + field.variance_distance)
@@ -196,7 +207,8 @@ def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float,
 
     `first` 0: of distance [m²] and normal [rad²]; 2: of the bumps' slope [rad²] and curvature [1/m²], times 3.84.
     """
-    one, other = 0.0, 0.0
+    one = 0.0
+    other = 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
     x, y, z = clamped(u[0], 0.0, nx - 1.001), clamped(u[1], 0.0, ny - 1.001), clamped(u[2], 0.0, nz - 1.001)
@@ -242,8 +254,10 @@ def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
         return
     # Rows of L⁻¹, below its diagonal of ones.
     a = -low[0]
-    b0, b1 = l21 * low[0] - low[1], -l21
-    c1, c2 = l32 * l21 - l31, -l32
+    b0 = l21 * low[0] - low[1]
+    b1 = -l21
+    c1 = l32 * l21 - l31
+    c2 = -l32
     c0 = -low[2] - l31 * a - l32 * b0
     e1, e2, e3 = 1 / d[0], 1 / d[1], 1 / d[2]
     out[0, 0] = 1 / d0 + a * a * e1 + b0 * b0 * e2 + c0 * c0 * e3

@@ -35,7 +35,8 @@ def load_points(points: Any, contacts: Any, diameter: float, rows: Any) -> bool:
     larger: they are as uncertain as contacts, because of the same kinematics; the factor is for the common error of
     points near each other.
     """
-    sigmas, good = np.empty(len(contacts)), True
+    sigmas = np.empty(len(contacts))
+    good = True
     for i in range(len(contacts)):
         C = contacts[i].covariance
         sigmas[i] = np.sqrt((C[0, 0] + C[1, 1] + C[2, 2]) / 3)
@@ -66,7 +67,8 @@ def largest_move(model: Any, pose: Pose, other: Pose) -> float:
     R, Q = pose[0], other[0]
     low, high = vector(model.bounds[0]), vector(model.bounds[1])
     middle = scale(add(low, high), 0.5)
-    shift, turn = sub(apply(pose, middle), apply(other, middle)), 0.0
+    shift = sub(apply(pose, middle), apply(other, middle))
+    turn = 0.0
     for i in range(3):
         for j in range(3):
             turn += (R[i][j] - Q[i][j]) * (R[i][j] - Q[i][j])
@@ -89,7 +91,10 @@ def reachable(evidence: Any, field: Any, pose: Pose) -> int:
     move = largest_move(evidence.model, pose, pose_of(measured.pose))
     limit = max(measured.least, CLEARANCE_REACH * evidence.model.radius)
     if not move <= limit or measured.nodes != field.nodes:
-        move, measured.least, measured.points, measured.nodes = 0.0, np.inf, 0, field.nodes
+        move = 0.0
+        measured.least = np.inf
+        measured.points = 0
+        measured.nodes = field.nodes
         store_pose(pose, measured.pose)
         for i in range(len(rows)):
             if rows[i].is_plane:
@@ -119,13 +124,20 @@ def _depth(evidence: Any, field: Any, pose: Pose, point: Any) -> tuple[float, Ve
 @inner
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the row of every link: the norm ρ of its points' depths u, with dρ = Σ (u / ρ)^(POWER - 1) du."""
-    outside, (center, radius) = evidence.outside, frame
-    n, link, total = reachable(evidence, field, pose), 0, 0.0
+    outside = evidence.outside
+    center, radius = frame
+    n = reachable(evidence, field, pose)
+    link = 0
+    total = 0.0
     if n == 0:
         return
-    by_shift, by_turn, move = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), evidence.measured.move
+    by_shift = (0.0, 0.0, 0.0)
+    by_turn = (0.0, 0.0, 0.0)
+    move = evidence.measured.move
     for i in range(n + 1):  # one more, for the last link's row
-        u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
+        u = 0.0
+        g = (0.0, 0.0, 0.0)
+        point = outside[min(i, n - 1)]
         if i < n:
             if point.clearance > move:
                 continue
@@ -136,32 +148,40 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
             rho = total ** (1 / POWER)
             down = rho / total
             add_row(1.0, scale(by_shift, down) + scale(by_turn, down) + (rho,), equations)
-            by_shift, by_turn, total = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
+            by_shift = (0.0, 0.0, 0.0)
+            by_turn = (0.0, 0.0, 0.0)
+            total = 0.0
         if u > 0:
             power = u**POWER
             slope = scale(mul(pose[0], g), power / (u * point.sigma))
             lever = scale(sub(vector(point.point), center), 1 / radius)
-            by_shift, by_turn = add(by_shift, slope), add(by_turn, cross(lever, slope))
-            total, link = total + power, point.link
+            by_shift = add(by_shift, slope)
+            by_turn = add(by_turn, cross(lever, slope))
+            total = total + power
+            link = point.link
 
 
 @inner
 def links_within(evidence: Any, pose: Pose) -> int:
     """Returns how many links have a point in the object."""
-    count, link = 0, -1
+    count = 0
+    link = -1
     for i in range(reachable(evidence, evidence.model.fine, pose)):
         point = evidence.outside[i]
         if (count == 0 or point.link != link) and point.clearance <= evidence.measured.move:
             depth, _ = _depth(evidence, evidence.model.fine, pose, point)
             if depth > 0:
-                count, link = count + 1, point.link
+                count = count + 1
+                link = point.link
     return count
 
 
 @inner
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     """Returns the squared residuals of all links."""
-    cost, total, link = 0.0, 0.0, 0
+    cost = 0.0
+    total = 0.0
+    link = 0
     for i in range(reachable(evidence, field, pose)):
         point = evidence.outside[i]
         if point.clearance > evidence.measured.move:
@@ -169,6 +189,8 @@ def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
         u, _ = _depth(evidence, field, pose, point)
         if u > 0:
             if point.link != link:
-                cost, total, link = cost + total ** (2 / POWER), 0.0, point.link
+                cost = cost + total ** (2 / POWER)
+                total = 0.0
+                link = point.link
             total += u**POWER
     return cost + total ** (2 / POWER)

@@ -55,7 +55,8 @@ def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
     is negative, that point in the palm."""
     (R, p), bounds = pose, evidence.model.bounds
     normal = vector(plane.normal)
-    up, height = tmul(R, normal), dot(normal, sub(p, vector(plane.point)))
+    up = tmul(R, normal)
+    height = dot(normal, sub(p, vector(plane.point)))
     corner = 0.0
     for k in range(3):
         corner += min(bounds[0, k] * up[k], bounds[1, k] * up[k])

@@ -45,7 +45,8 @@ def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
 
     It chooses among equal minima, and is not part of the information that is reported.
     """
-    prior.kind, prior.has_axis = WEAK_PRIOR, 0
+    prior.kind = WEAK_PRIOR
+    prior.has_axis = 0
     store(vector(model.center), prior.pivot_object)
     store((0.0, 0.0, 0.0), prior.axis_object)
     store(center, prior.pivot_palm)
@@ -62,7 +63,8 @@ def _pivot(model: Any) -> Vec3:
     A pose is Gaussian in the shift of a point of the object. Vision sees the object, wherever its origin is: an origin
     far beside it moves along an arc as the object turns.
     """
-    symmetry, center = model.symmetry, vector(model.center)
+    symmetry = model.symmetry
+    center = vector(model.center)
     if symmetry.axes == 0:
         return center
     on_axis = vector(symmetry.pivot)
@@ -78,10 +80,13 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
 
     No standard deviation counts as less than 1e-5 of the object's radius.
     """
-    symmetry, R, radius = model.symmetry, matrix(vision.pose.rotation), model.radius
+    symmetry = model.symmetry
+    R = matrix(vision.pose.rotation)
+    radius = model.radius
     pivot = _pivot(model)
     arm = mul(R, pivot)
-    prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
+    prior.kind = VISION_PRIOR
+    prior.has_axis = symmetry.axes
     store(pivot, prior.pivot_object)
     store(vector(symmetry.axis[0]), prior.axis_object)
     store(add(vector(vision.pose.position), arm), prior.pivot_palm)
@@ -94,9 +99,11 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     about_point(prior.information, arm, prior.information)
     for k in range(symmetry.axes):
         # The turn about an axis is removed, by the Schur complement.
-        axis, information = mul(R, vector(symmetry.axis[k])), prior.information
+        axis = mul(R, vector(symmetry.axis[k]))
+        information = prior.information
         by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
-        along, turned = max(dot(axis, by_turn), 1e-300), by_shift + by_turn
+        along = max(dot(axis, by_turn), 1e-300)
+        turned = by_shift + by_turn
         for i in range(6):
             for j in range(6):
                 information[i, j] -= turned[i] * turned[j] / along
@@ -167,7 +174,8 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
         return
     pivot, off = point_off(prior.pivot_object, prior.pivot_palm, pose)
     turn, D = turn_between(prior, pose[0])
-    D, still = scale33(D, 1 / frame[1]), (0.0, 0.0, 0.0)
+    D = scale33(D, 1 / frame[1])
+    still = (0.0, 0.0, 0.0)
     by_turn = still + D[0] + (turn[0],), still + D[1] + (turn[1],), still + D[2] + (turn[2],)
     add_six_rows(prior.information, point_rows(pivot, off, frame), by_turn, equations)
 
@@ -186,7 +194,8 @@ def prior_cost(prior: Any, pose: Pose) -> float:
 @inner
 def prior_width(model: Any, prior: Any) -> float:
     """Returns the root mean square deviation of the surface's points by the prior, as a fraction of the diameter."""
-    C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
+    C = prior.covariance
+    c = mul(matrix(prior.pose.rotation), vector(model.center))
     turn = C[3, 3] + C[4, 4] + C[5, 5]
     # Of the object's center: δp + δθ × c.
     spread = C[0, 0] + C[1, 1] + C[2, 2] + dot(c, c) * turn

@@ -21,7 +21,10 @@ from handsight._kernels.jit import inner
 from handsight._kernels.math.vec3 import Vec3
 
 # NumPy's integers, which all have one type in a kernel; each of Python's constants has a type of its own.
-CONTACTS, WALLS, FIXED_NOISE, PRIOR = np.int64(1), np.int64(2), np.int64(4), np.int64(8)
+CONTACTS = np.int64(1)
+WALLS = np.int64(2)
+FIXED_NOISE = np.int64(4)
+PRIOR = np.int64(8)
 ALL = CONTACTS | WALLS | FIXED_NOISE | PRIOR
 REWHITENED = np.int64(16)
 """Beside CONTACTS: they are weighted by their covariance at the pose; otherwise they keep their last weights, so that

@@ -31,7 +31,9 @@ def inform(
     center, radius = frame
     count = len(weights)
     few = min(count, compared)
-    pulls, total, shared = np.empty((few, 6)), np.zeros(6), np.empty(6)
+    pulls = np.empty((few, 6))
+    total = np.zeros(6)
+    shared = np.empty(6)
     out[:] = 0.0
     for n in range(count):
         P, normal = vector(points[n]), vector(normals[n])
@@ -138,8 +140,13 @@ def largest_shift(model: Any, nodes: Any, T_camera_object: Any, covariance: Any)
     covariance (6, 6): of (δp, δθ) of the object's origin along the camera's axes. A turn that the object looks the same
     after does not move its surface.
     """
-    R, radius, center = transform_of(T_camera_object)[0], model[0].radius, vector(model[0].center)
-    J, along_object, values, vectors = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
+    R = transform_of(T_camera_object)[0]
+    radius = model[0].radius
+    center = vector(model[0].center)
+    J = np.empty((6, 6))
+    along_object = np.empty((6, 6))
+    values = np.empty(6)
+    vectors = np.empty((6, 6))
     pose_jacobian(R, mul(R, center), 1.0, radius, J)
     congruence(J, covariance, along_object)
     eigen(along_object, values, vectors)

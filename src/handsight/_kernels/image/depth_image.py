@@ -14,7 +14,8 @@ from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, norm, scale, store, sub, vector
 from handsight._kernels.mesh.field import field_at
 
-HALF_WINDOW, MIN_NEIGHBOURS = 4, 15
+HALF_WINDOW = 4
+MIN_NEIGHBOURS = 15
 """Half the side of the window for a normal [pixels], and how many of its pixels must be on the surface."""
 OPEN = -4  # label of a pixel whose segment has no number yet
 
@@ -42,7 +43,8 @@ def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> N
     depth, wanted, hand = image
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            z, label = depth[v, u], OUT
+            z = depth[v, u]
+            label = OUT
             if not 0 < z < np.inf:
                 z = 0.0
             else:
@@ -52,7 +54,8 @@ def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> N
                     label = TABLE
                 elif wanted[v, u] and height > within:
                     label = OPEN
-            known[v, u], labels[v, u] = z, HAND if hand[v, u] else label
+            known[v, u] = z
+            labels[v, u] = HAND if hand[v, u] else label
 
 
 @entry
@@ -60,15 +63,21 @@ def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
     """Numbers the segments of `OPEN` pixels in `labels` (h, w) from 0 on, fills in their sizes, and returns their
     number. Segments of less than `least` pixels become `OUT`."""
     height, width = depth.shape
-    part, count = np.empty((height * width, 2), np.int64), 0
+    part = np.empty((height * width, 2), np.int64)
+    count = 0
     for row in range(height):
         for column in range(width):
             if labels[row, column] != OPEN:
                 continue
-            labels[row, column], part[0, 0], part[0, 1], done, size = count, row, column, 0, 1
+            labels[row, column] = count
+            part[0, 0] = row
+            part[0, 1] = column
+            done = 0
+            size = 1
             while done < size:
                 v, u = part[done, 0], part[done, 1]
-                z, done = depth[v, u], done + 1
+                z = depth[v, u]
+                done = done + 1
                 for v1, u1 in ((v + 1, u), (v - 1, u), (v, u + 1), (v, u - 1)):
                     if v1 < 0 or v1 >= height or u1 < 0 or u1 >= width:
                         continue
@@ -88,13 +97,16 @@ def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
 def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> int:
     """Fills in the first of the pixels `order` (n,), by row and column in one, in each cube of space so wide [m], and
     returns how many there are. The cubes are found in a hash table with four slots for each that may be filled."""
-    width, free = depth.shape[1], np.iinfo(np.int64).min
+    width = depth.shape[1]
+    free = np.iinfo(np.int64).min
     size = 1
     while size < 4 * len(chosen):
         size *= 2
-    taken, count = np.full(size, free), 0
+    taken = np.full(size, free)
+    count = 0
     for pixel in order:
-        v, u = pixel // width, pixel % width
+        v = pixel // width
+        u = pixel % width
         z = depth[v, u] / spacing
         x, y = int(np.floor(rays[v, u, 0] * z)), int(np.floor(rays[v, u, 1] * z))
         cell = (x * 1_000_003 + y) * 1_000_003 + int(z)
@@ -114,15 +126,20 @@ def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> in
 def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
     """Returns the unit normal, towards the camera, of the surface at a pixel; zero where its window shows no
     surface."""
-    z, x0, y0 = depth[v, u], rays[v, u, 0], rays[v, u, 1]
-    step, count = 2 * step_at(z), 0
+    z = depth[v, u]
+    x0 = rays[v, u, 0]
+    y0 = rays[v, u, 1]
+    step = 2 * step_at(z)
+    count = 0
     xx = xy = yy = sx = sy = xd = yd = sd = 0.0
     for row in range(max(v - HALF_WINDOW, 0), min(v + HALF_WINDOW + 1, depth.shape[0])):
         for column in range(max(u - HALF_WINDOW, 0), min(u + HALF_WINDOW + 1, depth.shape[1])):
             there = depth[row, column]
             if not abs(there - z) < step:
                 continue
-            x, y, d = rays[row, column, 0] - x0, rays[row, column, 1] - y0, 1 / there
+            x = rays[row, column, 0] - x0
+            y = rays[row, column, 1] - y0
+            d = 1 / there
             xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
             sx, sy, sd = sx + x, sy + y, sd + d
             xd, yd = xd + x * d, yd + y * d
@@ -143,7 +160,8 @@ def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
 def normals_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> None:
     """Fills in the DEPTH_POINT `out` (n,) of pixels (n,), given by row and column in one."""
     for n in range(len(pixels)):
-        v, u = pixels[n] // depth.shape[1], pixels[n] % depth.shape[1]
+        v = pixels[n] // depth.shape[1]
+        u = pixels[n] % depth.shape[1]
         store(point_at(rays, depth, v, u), out[n].point)
         store(normal_at(rays, depth, v, u), out[n].normal)
         out[n].part = labels[v, u]
@@ -155,7 +173,9 @@ def leave_out_plane(image: Any, window: Any) -> None:
     w)."""
     rays, depth, labels = image
     here = window[0]
-    normal, offset, within = vector(here.plane), here.plane[3], here.plane_within
+    normal = vector(here.plane)
+    offset = here.plane[3]
+    within = here.plane_within
     for v in range(here.rows[0], here.rows[1]):
         for u in range(here.columns[0], here.columns[1]):
             z = depth[v, u]
@@ -172,12 +192,16 @@ def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any)
     left out. window: WINDOW (1,), whose step is made smaller until there are n.
     """
     (rays, depth, labels), (model, nodes) = image, surface
-    here, step, pose = window[0], window[0].step, pose_of(candidate[0].pose)
+    here = window[0]
+    step = window[0].step
+    pose = pose_of(candidate[0].pose)
     # No point of an object is farther from its centre than 1.2 radii.
-    center, reach2 = apply(pose, vector(model[0].center)), (1.2 * model[0].radius + here.within) ** 2
+    center = apply(pose, vector(model[0].center))
+    reach2 = (1.2 * model[0].radius + here.within) ** 2
     while True:
         rows, columns = here.rows[1] - here.rows[0], here.columns[1] - here.columns[0]
-        found, count = np.empty((rows // step + 1) * (columns // step + 1), np.int64), 0
+        found = np.empty((rows // step + 1) * (columns // step + 1), np.int64)
+        count = 0
         for v in range(here.rows[0], here.rows[1], step):
             for u in range(here.columns[0], here.columns[1], step):
                 if labels[v, u] < 0 or not depth[v, u] > 0:

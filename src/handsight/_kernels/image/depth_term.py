@@ -68,18 +68,23 @@ def _point(
     that is thinner than `wall` [m]: its residual is the distance to that side.
     """
     nodes, field = surface
-    P, normal, across = vector(points.point), vector(points.normal), 0.0
-    place, has_normal = apply_inverse(pose, P), normal != (0.0, 0.0, 0.0)
+    P = vector(points.point)
+    normal = vector(points.normal)
+    across = 0.0
+    place = apply_inverse(pose, P)
+    has_normal = normal != (0.0, 0.0, 0.0)
     for side in range(2):
         distance, gradient, _ = field_at(nodes, field, place)
-        ratio, g = (distance - across) / bound, mul(pose[0], gradient)
+        ratio = (distance - across) / bound
+        g = mul(pose[0], gradient)
         if has_normal:
             length = norm(g)
             cosine = dot(normal, g)
             if cosine < MIN_COSINE * length:
                 if side == 0 and cosine < -MIN_COSINE * length and ratio * ratio < 1:
                     if field.kind == SHEET:
-                        distance, g = -distance, neg(g)
+                        distance = -distance
+                        g = neg(g)
                         break
                     across = distance + wall
                     place = sub(place, scale(gradient, across / length))
@@ -100,7 +105,8 @@ def is_far(point: Any, center: Vec3, radius: float, bound: float) -> bool:
     No point of an object is farther from its centre than 1.2 radii. Most points of an image are far from a candidate,
     and its field is not evaluated at them.
     """
-    way, reach = sub(vector(point), center), 1.2 * radius + bound
+    way = sub(vector(point), center)
+    reach = 1.2 * radius + bound
     return dot(way, way) > reach * reach
 
 
@@ -115,10 +121,13 @@ def refine_poses(
     units of one point's residual [1/m²]; 0 where nothing is known.
     """
     workspace, prior = local(WORKSPACE), local(PRIOR_TERM)
-    center, radius = vector(model[0].center), model[0].radius
-    equations, longest = workspace.now, (MAX_SHIFT * 2 * radius, MAX_TURN)
+    center = vector(model[0].center)
+    radius = model[0].radius
+    equations = workspace.now
+    longest = (MAX_SHIFT * 2 * radius, MAX_TURN)
     wall = MAX_WALL * 2 * radius
-    prior.kind, prior.has_axis = VISION_PRIOR if known[0, 0] > 0 else NO_PRIOR, 0
+    prior.kind = VISION_PRIOR if known[0, 0] > 0 else NO_PRIOR
+    prior.has_axis = 0
     store(center, prior.pivot_object)
     for i in range(6):
         for j in range(6):
@@ -132,7 +141,8 @@ def refine_poses(
             surface = nodes, model[0].fine if stage.fine else model[0].coarse
             for step in range(stage.steps):
                 bound = max(unit * bound_at(stage, step), candidates[k].bound)
-                frame, total = (apply(pose, center), radius), 0.0
+                frame = (apply(pose, center), radius)
+                total = 0.0
                 equations[:] = 0.0
                 for n in range(0, len(points), stage.stride):
                     if is_far(points[n].point, frame[0], radius, bound):
@@ -175,12 +185,17 @@ def pose_covariances(
     Also fills in the candidates' weight and `informed` (k, 2, 6, 6), as `inform` does, by (δp, radius δθ) of the
     object's centre.
     """
-    weights, places, normals = np.empty(len(points)), np.empty((len(points), 3)), np.empty((len(points), 3))
-    J, radius, surface = np.empty((6, 6)), model[0].radius, (nodes, model[0].fine)
+    weights = np.empty(len(points))
+    places = np.empty((len(points), 3))
+    normals = np.empty((len(points), 3))
+    J = np.empty((6, 6))
+    radius = model[0].radius
+    surface = (nodes, model[0].fine)
     wall = MAX_WALL * 2 * radius
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
-        count, total = 0, 0.0
+        count = 0
+        total = 0.0
         center = vector(model[0].center)
         frame = apply(pose, center), radius
         for n in range(len(points)):

@@ -63,16 +63,19 @@ def refine_hand(
 
     image: as of `_row`. middle (3,) and radius of the hand [m]. stages: STAGE (1,), with bounds in metres.
     """
-    workspace, stage = local(WORKSPACE), stages[0]
+    workspace = local(WORKSPACE)
+    stage = stages[0]
     equations, longest = workspace.now, (0.03, 0.3)  # [m, rad], of one step
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         for step in range(stage.steps):
-            bound, total = bound_at(stage, step), 0.0
+            bound = bound_at(stage, step)
+            total = 0.0
             frame = apply(pose, vector(middle)), radius
             equations[:] = 0.0
             for m in range(hand.shape[1]):
-                P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
+                P = apply(pose, vector(hand[0, m]))
+                n = mul(pose[0], vector(hand[1, m]))
                 weight, residual = _row(camera[0], image, P, n, bound)
                 if weight > 0:
                     add_row(weight, distance_row(P, neg(n), residual, frame), equations)
@@ -98,7 +101,8 @@ def score_hand(camera: Any, image: Any, hand: Any, area: float, bound: float, ca
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = 0.0
         candidate.unexplained = candidate.rms = 0.0
         for m in range(hand.shape[1]):
-            P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
+            P = apply(pose, vector(hand[0, m]))
+            n = mul(pose[0], vector(hand[1, m]))
             way = norm(P)
             cosine = -dot(n, P) / way
             if not cosine > PALM_SCAN.facing_cosine:
@@ -135,7 +139,8 @@ def rows_of(camera: Any, image: Any, hand: Any, pose: Any, bound: float, rows: A
     camera."""
     at = pose_of(pose[0])
     for k in range(hand.shape[1]):
-        P, n = apply(at, vector(hand[0, k])), mul(at[0], vector(hand[1, k]))
+        P = apply(at, vector(hand[0, k]))
+        n = mul(at[0], vector(hand[1, k]))
         rows[k, 0], rows[k, 1] = _row(camera[0], image, P, n, bound)
         line = n + cross(P, n)
         for i in range(6):

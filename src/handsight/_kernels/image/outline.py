@@ -22,11 +22,16 @@ BESIDE = 0.06  # distance from the surface up to which points beside it are comp
 INSIDE = 2.0
 """From the outline to the visible surface that they are compared with, where one pose is followed [pixels]."""
 
-WAYS, STEPS, MARCHED = 72, 12, 24
+WAYS = 72
+STEPS = 12
+MARCHED = 24
 """Ways from an object's centre on which its outline is crossed, and most steps on each, and on the ray of a pixel."""
-OUTSIDE, WITHIN = (4.0, 7.0), 5.0
+OUTSIDE = (4.0, 7.0)
+WITHIN = 5.0
 """From the outline to the pixels beside it and on the object, between which the surface may be smooth [pixels]."""
-FLAT, COSINE, UNSEEN = 0.7, 0.9, (0.1, 0.2)
+FLAT = 0.7
+COSINE = 0.9
+UNSEEN = (0.1, 0.2)
 """Most bounds from each other's tangent planes and least cosine of smooth ones; weight and share of what is unseen."""
 
 
@@ -57,7 +62,8 @@ def _beside(
     v, u, least = pixel
     if not depth[v, u] > 0 or labels[v, u] < least:
         return 0
-    P, beside = point_at(rays, depth, v, u), bound + BESIDE * 2 * model[0].radius
+    P = point_at(rays, depth, v, u)
+    beside = bound + BESIDE * 2 * model[0].radius
     if is_far(P, center, model[0].radius, beside):
         return 0
     distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
@@ -88,7 +94,8 @@ def find_continued(camera: Any, surface: Any, image: Any, window: Any, candidate
     here = window[0]
     step = 2 * here.step
     for k in range(len(candidates)):
-        pose, count = pose_of(candidates[k].pose), 0
+        pose = pose_of(candidates[k].pose)
+        count = 0
         at = pose, apply(pose, vector(surface[0][0].center)), candidates[k].bound, INSIDE
         for v in range(here.rows[0], here.rows[1], step):
             for u in range(here.columns[0], here.columns[1], step):
@@ -107,16 +114,21 @@ def follow_outlines(camera: Any, surface: Any, image: Any, most: int, candidates
     (height, width), model = image[1].shape, surface[0]
     for k in range(len(candidates)):
         candidate = candidates[k]
-        pose, bound, count = pose_of(candidate.pose), candidate.bound, 0
-        center, beside = apply(pose, vector(model[0].center)), BESIDE * 2 * model[0].radius
+        pose = pose_of(candidate.pose)
+        bound = candidate.bound
+        count = 0
+        center = apply(pose, vector(model[0].center))
+        beside = BESIDE * 2 * model[0].radius
         reach = 1.2 * model[0].radius + bound + beside
         u0, v0 = project(camera[0], center)
         candidate.unexplained = 0.0
         if not abs(u0 * v0) < np.inf:
             continue
         half = min(reach * camera[0].fx / max(center[2] - 0.5 * reach, 0.1 * center[2]), width + height)
-        left, right = int(max(u0 - half, 0.0)), int(min(u0 + half, width - 1.0))
-        top, bottom = int(max(v0 - half, 0.0)), int(min(v0 + half, height - 1.0))
+        left = int(max(u0 - half, 0.0))
+        right = int(min(u0 + half, width - 1.0))
+        top = int(max(v0 - half, 0.0))
+        bottom = int(min(v0 + half, height - 1.0))
         step = max(1, int(np.sqrt(max(right - left, 0) * max(bottom - top, 0) / most)))
         at = pose, center, bound, bound * camera[0].fx / center[2]
         for v in range(top, bottom + 1, step):
@@ -133,7 +145,8 @@ def follow_outlines(camera: Any, surface: Any, image: Any, most: int, candidates
 def _clearance(surface: Any, pose: Any, center: Vec3, ray: Vec3) -> tuple[float, Vec3]:
     """Returns how near a ray (x, y, 1) comes to the surface at a pose [m], and the surface's nearest point."""
     (model, nodes), length, least, nearest = surface, norm(ray), np.inf, center
-    middle, reach = dot(ray, center) / length**2, 1.5 * model[0].radius / length
+    middle = dot(ray, center) / length**2
+    reach = 1.5 * model[0].radius / length
     z = middle - reach
     for _ in range(MARCHED):
         if not (z < middle + reach and least > 1e-3 * model[0].radius):
@@ -142,7 +155,8 @@ def _clearance(surface: Any, pose: Any, center: Vec3, ray: Vec3) -> tuple[float,
         distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
         if abs(distance) < least:
             g = mul(pose[0], gradient)
-            least, nearest = abs(distance), sub(P, scale(g, distance / max(norm(g), 1e-9)))
+            least = abs(distance)
+            nearest = sub(P, scale(g, distance / max(norm(g), 1e-9)))
         z += abs(distance) / length
     return least, nearest
 
@@ -176,7 +190,8 @@ def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[
             return u, v, 0
         if not depth[v, u] > 0 or labels[v, u] < 0:
             return u, v, 1
-        gap, here = sub(point_at(rays, depth, v, u), Q), normal_at(rays, depth, v, u)
+        gap = sub(point_at(rays, depth, v, u), Q)
+        here = normal_at(rays, depth, v, u)
         there = normal_at(rays, depth, row, column)
         flat = max(abs(dot(here, gap)), abs(dot(there, gap))) < FLAT * bound
         return u, v, 2 if flat and dot(here, there) > COSINE else 1

@@ -49,7 +49,8 @@ def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> Non
     depth is 0 where there is none, -1 out of the image; the normal is 0 where there is none."""
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):
-            cell, ray = cells[i, j], (corner[0] + corner[2] * j, corner[1] + corner[2] * i, 1.0)
+            cell = cells[i, j]
+            ray = (corner[0] + corner[2] * j, corner[1] + corner[2] * i, 1.0)
             row, column, cell[0] = observed_at(camera[0], depth, ray)
             store(normal_at(rays, depth, row, column) if cell[0] > 0 else (0.0, 0.0, 0.0), cell[1:])
 
@@ -60,9 +61,13 @@ def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
 
     there, agree: visible points and those that agree, by bin; visible: how many points are visible in all.
     """
-    half, best, where = PALM_SCAN.range_bins // 2, -np.inf, 0
+    half = PALM_SCAN.range_bins // 2
+    best = -np.inf
+    where = 0
     for b in range(half - PALM_SCAN.tried_bins, half + PALM_SCAN.tried_bins + 1):
-        good, near, before = 0.0, 0.0, 0.0
+        good = 0.0
+        near = 0.0
+        before = 0.0
         for k in range(b - PALM_SCAN.agreeing_bins, b + PALM_SCAN.agreeing_bins + 1):
             good += agree[k]
             near += there[k]
@@ -70,7 +75,8 @@ def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
             before += there[k]
         score = good - PALM_SCAN.passed_weight * (visible - near - before) - PALM_SCAN.hidden_weight * before
         if score > best:
-            best, where = score, b - half
+            best = score
+            where = b - half
     return best, where
 
 
@@ -86,7 +92,9 @@ def scan(
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
     there, agree = np.empty(PALM_SCAN.range_bins), np.empty(PALM_SCAN.range_bins)
     turned = np.empty((count, 2, 3))
-    half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / bin_width
+    half = PALM_SCAN.range_bins // 2
+    finer = 1 / corner[2]
+    bins = 1 / bin_width
     for r in range(len(rotations)):
         R = matrix(rotations[r])
         for m in range(count):
@@ -94,7 +102,9 @@ def scan(
                 store(mul(R, vector(hand[side, m])), turned[m, side])
         for s in range(len(middles)):
             c = vector(middles[s])
-            least, visible, out = PALM_SCAN.facing_cosine * norm(c), 0.0, 0.0
+            least = PALM_SCAN.facing_cosine * norm(c)
+            visible = 0.0
+            out = 0.0
             there[:] = 0.0
             agree[:] = 0.0
             for m in range(count):
@@ -118,7 +128,8 @@ def scan(
                 known = cell[1] != 0.0 or cell[2] != 0.0 or cell[3] != 0.0
                 same = n[0] * cell[1] + n[1] * cell[2] + n[2] * cell[3] > PALM_SCAN.normal_cosine
                 agree[b] += (1.0 if same else 0.0) if known else 0.5
-            found[r, s, 0], found[r, s, 1] = -np.inf, 0.0
+            found[r, s, 0] = -np.inf
+            found[r, s, 1] = 0.0
             if visible >= PALM_SCAN.min_visible:
                 score, away = _best(there, agree, visible)
                 found[r, s, 0] = score / (visible + out + PALM_SCAN.visible_slack)

@@ -10,14 +10,16 @@ import numpy as np
 from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3
 
-PASSES, TOLERANCE = 60, 1e-9
+PASSES = 60
+TOLERANCE = 1e-9
 """Most steps of the fixed-point iteration to a ray, and the error of its slopes at which it has converged."""
 
 
 @inner
 def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
     """Returns the slopes of a ray behind the lens: plumb_bob (k4 to k6 are 0) or rational polynomial."""
-    k, r2 = camera.lens, x * x + y * y
+    k = camera.lens
+    r2 = x * x + y * y
     p1, p2 = k[2], k[3]
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
     slope_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -50,7 +52,9 @@ def rays(camera: Any, out: Any) -> float:
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):
             bent_x, bent_y = (u - camera[0].cx) / camera[0].fx, (v - camera[0].cy) / camera[0].fy
-            x, y, left = bent_x, bent_y, np.inf
+            x = bent_x
+            y = bent_y
+            left = np.inf
             for _ in range(PASSES):
                 now_x, now_y = lens(camera[0], x, y)
                 left = max(abs(now_x - bent_x), abs(now_y - bent_y))

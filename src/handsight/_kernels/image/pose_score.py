@@ -36,7 +36,8 @@ MIN_FACING = 0.12
 @inner
 def _nearest(directions: Any, way: Vec3) -> int:
     """Returns which of the directions (k, 3) is nearest to a direction."""
-    best, most = 0, -np.inf
+    best = 0
+    most = -np.inf
     for k in range(len(directions)):
         cosine = dot(vector(directions[k]), way)
         if cosine > most:
@@ -48,7 +49,10 @@ def _nearest(directions: Any, way: Vec3) -> int:
 def _add(image: Any, sample: tuple[float, float, float, float], bound: float, candidate: Any) -> None:
     """Adds to a candidate what the image says of a sample: its column, row, depth [m] and number of pixels."""
     depth, labels = image
-    column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
+    column = int(sample[0] + 0.5)
+    row = int(sample[1] + 0.5)
+    z = sample[2]
+    pixels = sample[3]
     observed, label = depth[row, column], labels[row, column]
     if not observed > 0:
         candidate.expected += POSE_SCORE.unknown * pixels
@@ -110,7 +114,8 @@ def score_all(camera: Any, image: Any, sides: Any, center: Any, candidates: Any,
                     before = candidate.hidden
                     _add(image, (u, v, P[2], pixels), candidate.bound, candidate)
                     if candidate.hidden > before and len(hidden):
-                        hidden[k, m, 0], hidden[k, m, 1] = int(v + 0.5) * width + int(u + 0.5), pixels
+                        hidden[k, m, 0] = int(v + 0.5) * width + int(u + 0.5)
+                        hidden[k, m, 1] = pixels
                 else:
                     candidate.expected += POSE_SCORE.unknown * pixels
         finish_score(POSE_SCORE, candidate)

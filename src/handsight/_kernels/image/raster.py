@@ -50,7 +50,8 @@ def _fill(depth: Any, drawn: Any, label: int, a: Vec3, b: Vec3, c: Vec3) -> None
         left, right = _span(v, c, a, left, right)
         if not left <= right:
             continue
-        first, last = int(np.ceil(max(left, 0.0))), int(np.floor(min(right, width - 1.0)))
+        first = int(np.ceil(max(left, 0.0)))
+        last = int(np.floor(min(right, width - 1.0)))
         inverse = a[2] + (first - a[0]) * by_u + (v - a[1]) * by_v
         for u in range(first, last + 1):
             if inverse > 0 and inverse * depth[v, u] > 1:
@@ -80,7 +81,8 @@ def draw(camera: Any, vertices: Any, faces: Any, labels: Any, depth: Any, drawn:
             continue
         if not b[2] > NEAR and c[2] > NEAR:
             a, b, c = c, a, b
-        end, has_end = c, False
+        end = c
+        has_end = False
         if not b[2] > NEAR:
             b, c = _cut(a, b), _cut(a, c)
         elif not c[2] > NEAR:

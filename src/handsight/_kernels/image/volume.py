@@ -26,8 +26,10 @@ def _depth_between(depth: Any, u: float, v: float) -> float:
     column, row = int(u), int(v)
     if u < 0 or v < 0 or column + 1 >= depth.shape[1] or row + 1 >= depth.shape[0]:
         return 0.0
-    a, b = float(depth[row, column]), float(depth[row, column + 1])
-    c, d = float(depth[row + 1, column]), float(depth[row + 1, column + 1])
+    a = float(depth[row, column])
+    b = float(depth[row, column + 1])
+    c = float(depth[row + 1, column])
+    d = float(depth[row + 1, column + 1])
     near, far = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
     if not (near > 0 and far - near < 2 * step_at(near)):
         return 0.0
@@ -43,7 +45,8 @@ def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> 
     for i in range(voxels.shape[0]):
         for j in range(voxels.shape[1]):
             for k in range(voxels.shape[2]):
-                node, voxel = apply(pose, (i, j, k)), voxels[i, j, k]
+                node = apply(pose, (i, j, k))
+                voxel = voxels[i, j, k]
                 u, v = project(camera[0], node)
                 if not (u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5):
                     continue

@@ -14,7 +14,9 @@ from handsight._kernels.math.so3 import about_normal, rotation_exp
 from handsight._kernels.math.symmetry import store_pose
 from handsight._kernels.math.vec3 import Mat33, Vec3, dot, matmul, mul, norm, scale, sub, transpose, vector
 
-DISTANCES, ANGLES, SPINS = 20, 13, 30
+DISTANCES = 20
+ANGLES = 13
+SPINS = 30
 """Steps in which a pair's distance, its angles and a spin are counted; right angles are in the middle of a step."""
 CELLS = DISTANCES * ANGLES**3
 PEAKS = 4  # poses that each reference point votes for
@@ -64,7 +66,8 @@ def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: A
     """Counts in `votes` (m, 2 SPINS) the model's pairs that are like those of point r with up to `most` others."""
     starts, pairs = table
     first, n1 = vector(points[r].point), vector(points[r].normal)
-    frame, partners = about_normal(n1), 0
+    frame = about_normal(n1)
+    partners = 0
     for j in range(len(points)):
         n2 = vector(points[j].normal)
         if j == r or n2 == (0.0, 0.0, 0.0):
@@ -94,14 +97,16 @@ def vote(
     """
     points, normals = model[0], model[1]
     votes = np.empty((len(points), 2 * SPINS), np.int32)
-    best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
+    best = np.empty(len(points))
+    spins = np.empty(len(points), np.int64)
     for n in range(len(references)):
         votes[:] = 0
         _count(table, observed, references[n], diameter, partners, votes)
         best[:] = -1.0
         for m in range(len(votes)):  # the best spin of each model point
             for s in range(SPINS):  # the half steps beside it count by half
-                before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
+                before = (2 * s - 1) % (2 * SPINS)
+                after = (2 * s + 2) % (2 * SPINS)
                 total = votes[m, 2 * s] + votes[m, 2 * s + 1] + 0.5 * (votes[m, before] + votes[m, after])
                 if total > best[m]:
                     best[m], spins[m] = total, s

@@ -25,10 +25,12 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
         if not np.isfinite(v):
             return False
     for i in range(len(homes)):
-        R, p = IDENTITY, (0.0, 0.0, 0.0)
+        R = IDENTITY
+        p = (0.0, 0.0, 0.0)
         for k in range(starts[i], starts[i + 1]):
             joint = joints[k]
-            axis, point = mul(R, vector(joint.axis)), apply((R, p), vector(joint.point))
+            axis = mul(R, vector(joint.axis))
+            point = apply((R, p), vector(joint.point))
             store(axis, axes[k, 0])
             store(point, axes[k, 1])
             travel = values[joint.value] - joint.zero
@@ -51,10 +53,13 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, ste
     out[:] = 0.0
     for i in range(len(points)):
         for k in range(starts[bodies[i]], starts[bodies[i] + 1]):
-            step, axis = steps[joints[k].value], vector(axes[k, 0])
-            shift, turn = axis, (0.0, 0.0, 0.0)
+            step = steps[joints[k].value]
+            axis = vector(axes[k, 0])
+            shift = axis
+            turn = (0.0, 0.0, 0.0)
             if not joints[k].slides:
-                shift, turn = cross(axis, sub(vector(points[i]), vector(axes[k, 1]))), axis
+                shift = cross(axis, sub(vector(points[i]), vector(axes[k, 1])))
+                turn = axis
             for n in range(3):
                 for c in range(len(step)):
                     out[i, n, c] += shift[n] * step[c]

@@ -87,7 +87,8 @@ def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
             matrix[k, p] = matrix[p, k] = c * a - s * b
             matrix[k, q] = matrix[q, k] = s * a + c * b
         a, b = vectors[k, p], vectors[k, q]
-        vectors[k, p], vectors[k, q] = c * a - s * b, s * a + c * b
+        vectors[k, p] = c * a - s * b
+        vectors[k, q] = s * a + c * b
 
 
 @inner

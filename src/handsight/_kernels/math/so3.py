@@ -20,7 +20,8 @@ def about_normal(n: Vec3) -> Mat33:
 @inner
 def rotation_about(axis: Vec3, cosine: float, sine: float) -> Mat33:
     """Returns the rotation about a unit axis, by an angle with that cosine and sine (Rodrigues)."""
-    along, across = scale33(outer(axis, axis), 1 - cosine), scale33(skew(axis), sine)
+    along = scale33(outer(axis, axis), 1 - cosine)
+    across = scale33(skew(axis), sine)
     return add33(add33(scale33(IDENTITY, cosine), across), along)
 
 
@@ -30,7 +31,8 @@ def rotation_exp(turn: Vec3) -> Mat33:
     half = 0.5 * norm(turn)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(turn)
-    first, second = scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio)
+    first = scale33(S, ratio * np.cos(half))
+    second = scale33(matmul(S, S), 0.5 * ratio * ratio)
     return add33(IDENTITY, add33(first, second))
 
 
@@ -38,17 +40,21 @@ def rotation_exp(turn: Vec3) -> Mat33:
 def rotation_log(Q: Mat33) -> Vec3:
     """Returns the rotation vector of a rotation; exact near 0 and near π."""
     v = (Q[2][1] - Q[1][2]) / 2, (Q[0][2] - Q[2][0]) / 2, (Q[1][0] - Q[0][1]) / 2
-    sine, trace = norm(v), Q[0][0] + Q[1][1] + Q[2][2]
+    sine = norm(v)
+    trace = Q[0][0] + Q[1][1] + Q[2][2]
     cosine = (trace - 1) / 2
     if cosine >= -0.9:
         return scale(v, np.arctan2(sine, cosine) / sine if sine >= 1e-9 else 1.0)
     # Near π the quaternion keeps the axis: the longest column of 4 q qᵀ, real part w last.
     if Q[0][0] >= Q[1][1] and Q[0][0] >= Q[2][2]:
-        q, w = (1 + 2 * Q[0][0] - trace, Q[0][1] + Q[1][0], Q[0][2] + Q[2][0]), 2 * v[0]
+        q = (1 + 2 * Q[0][0] - trace, Q[0][1] + Q[1][0], Q[0][2] + Q[2][0])
+        w = 2 * v[0]
     elif Q[1][1] >= Q[2][2]:
-        q, w = (Q[0][1] + Q[1][0], 1 + 2 * Q[1][1] - trace, Q[1][2] + Q[2][1]), 2 * v[1]
+        q = (Q[0][1] + Q[1][0], 1 + 2 * Q[1][1] - trace, Q[1][2] + Q[2][1])
+        w = 2 * v[1]
     else:
-        q, w = (Q[0][2] + Q[2][0], Q[1][2] + Q[2][1], 1 + 2 * Q[2][2] - trace), 2 * v[2]
+        q = (Q[0][2] + Q[2][0], Q[1][2] + Q[2][1], 1 + 2 * Q[2][2] - trace)
+        w = 2 * v[2]
     length = norm(q)
     angle = 2 * np.arctan2(length, abs(w))
     return scale(q, (-angle if w < 0 else angle) / length)

@@ -13,7 +13,12 @@ WIDE = 6
 @inner
 def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
     """Writes to `out` (n) the squared distances of the columns (6, n) from the k-th row of p."""
-    x, y, z, u, v, w = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    x = p[k, 0]
+    y = p[k, 1]
+    z = p[k, 2]
+    u = p[k, 3]
+    v = p[k, 4]
+    w = p[k, 5]
     for j in range(columns.shape[1]):
         a, b, c = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
         d, e, f = columns[3, j] - u, columns[4, j] - v, columns[5, j] - w
@@ -26,8 +31,12 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
 
     The first is the farthest from the mean.
     """
-    chosen, columns, middle = np.empty((n, WIDE)), features.T.copy(), np.zeros((1, WIDE))
-    gap, now, own = np.empty(len(features)), np.empty(len(features)), np.empty(n)
+    chosen = np.empty((n, WIDE))
+    columns = features.T.copy()
+    middle = np.zeros((1, WIDE))
+    gap = np.empty(len(features))
+    now = np.empty(len(features))
+    own = np.empty(n)
     for i in range(len(features)):
         for k in range(WIDE):
             middle[0, k] += features[i, k] / len(features)
@@ -42,7 +51,8 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
             gap[i] = now[i] if j == 0 else min(gap[i], now[i])
     for _ in range(steps):
         columns = chosen.T.copy()
-        sums, count = np.zeros((n, WIDE)), np.zeros(n)
+        sums = np.zeros((n, WIDE))
+        count = np.zeros(n)
         for i in range(len(features)):
             _gaps2(columns, features, i, own)
             owner = np.argmin(own)
@@ -60,7 +70,8 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
 @entry
 def snapped(features: Any, middles: Any) -> Any:
     """Returns (n,) for each of `middles` (n, 6) the nearest feature (m, 6) that no earlier one took."""
-    columns, gap = features.T.copy(), np.empty(len(features))
+    columns = features.T.copy()
+    gap = np.empty(len(features))
     index = np.empty(len(middles), np.int64)
     for j in range(len(middles)):
         _gaps2(columns, middles, j, gap)

@@ -55,10 +55,12 @@ def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
     """Returns a pose times the k-th element of the symmetry group and, for an object with an axis, spun about it to be
     nearest to the reference."""
     R, p = transform_of(symmetry.rotation[k])
-    R, p = matmul(pose[0], R), apply(pose, p)
+    R = matmul(pose[0], R)
+    p = apply(pose, p)
     if symmetry.kind == AXIS:
         # The axis goes through the origin. The trace of Q exp(φ a) is c cos φ - s sin φ and what does not depend on φ.
-        axis, Q = vector(symmetry.axis[0]), matmul(transpose(reference[0]), R)
+        axis = vector(symmetry.axis[0])
+        Q = matmul(transpose(reference[0]), R)
         s = dot(axis, (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1]))
         c = Q[0][0] + Q[1][1] + Q[2][2] - dot(axis, mul(Q, axis))
         length = np.sqrt(c * c + s * s)
@@ -73,10 +75,12 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
     symmetry, radius = model.symmetry, model.radius
     if symmetry.kind == NO_SYMMETRY:
         return pose
-    costs, least = np.empty(MOST_ROTATIONS), np.inf
+    costs = np.empty(MOST_ROTATIONS)
+    least = np.inf
     for k in range(symmetry.rotations):
         R, p = _equivalent(symmetry, k, pose, reference)
-        shift, turn = sub(p, reference[1]), rotation_log(matmul(R, transpose(reference[0])))
+        shift = sub(p, reference[1])
+        turn = rotation_log(matmul(R, transpose(reference[0])))
         costs[k] = dot(shift, shift) + radius * radius * dot(turn, turn)
         least = min(least, costs[k])
     chosen = 0
@@ -92,7 +96,8 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
 def are_distinct(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
     """Returns whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo
     symmetry."""
-    near, center = nearest(model, a, b), vector(model.center)
+    near = nearest(model, a, b)
+    center = vector(model.center)
     gap = sub(apply(near, center), apply(b, center))
     if dot(gap, gap) > limits[0] * limits[0]:
         return True

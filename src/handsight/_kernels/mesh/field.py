@@ -59,7 +59,9 @@ def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
     """Returns what a grid does, after nodes with no surface between them and the nearest one got that one's sign. For
     every grid this would take a fifth more time."""
     first, past, beyond = _cell(field, place)
-    step_x, step_y, own = field.shape[1] * field.shape[2], field.shape[2], local(NODES)
+    step_x = field.shape[1] * field.shape[2]
+    step_y = field.shape[2]
+    own = local(NODES)
     x, y, z = 2 if past[0] > 0.5 else 1, 2 if past[1] > 0.5 else 1, 2 if past[2] > 0.5 else 1
     nearest = nodes[first + x * step_x + y * step_y + z]
     for i in range(4):
@@ -117,7 +119,9 @@ def _beyond(edge: Values, way: Vec3) -> Values:
     """Returns the field outside the grid, `way` [m] from the edge, where its values are `edge`."""
     # Behind a sheet all of it is negated.
     side = -1.0 if edge[0] < 0 else 1.0
-    m, g, H = side * edge[0], scale(edge[1], side), scale33(edge[2], side)
+    m = side * edge[0]
+    g = scale(edge[1], side)
+    H = scale33(edge[2], side)
     slope = dot(g, way)
     # Along the grid's edge the gradient changes by the Hessian; across it, the way is added below.
     p = add(g, _where_zero(way, mul(H, way)))
@@ -159,14 +163,19 @@ def _box(field: Any, place: Vec3) -> Values:
 def _cylinder(field: Any, place: Vec3) -> Values:
     x, y, z = place
     r = np.sqrt(x * x + y * y)
-    qr, qz = r - field.origin[0], abs(z) - field.origin[1]
+    qr = r - field.origin[0]
+    qz = abs(z) - field.origin[1]
     up = -1.0 if z < 0 else 1.0
     cosine, sine = (x / r, y / r) if r > 0 or r != r else (1.0, 0.0)
     er, ez = max(qr, 0.0), max(qz, 0.0)
     outside = np.sqrt(er * er + ez * ez)
-    distance, gr, gz = max(qr, qz), 1.0 if qr >= qz else 0.0, 0.0 if qr >= qz else 1.0
+    distance = max(qr, qz)
+    gr = 1.0 if qr >= qz else 0.0
+    gz = 0.0 if qr >= qz else 1.0
     if outside > 0:
-        distance, gr, gz = outside, er / outside, ez / outside
+        distance = outside
+        gr = er / outside
+        gz = ez / outside
     gz = gz * up
     over = 1 / max(outside, field.least_radius) if qr > 0 and qz > 0 else 0.0
     side = (-sine, cosine, 0.0)

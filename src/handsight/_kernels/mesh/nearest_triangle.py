@@ -31,7 +31,11 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     """Returns the weights of the corners in the point of triangle abc that is closest to p. On an edge the weight of
     the corner opposite is exactly 0."""
     u, v, w = sub(b, a), sub(c, a), sub(p, a)
-    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
+    uu = dot(u, u)
+    uv = dot(u, v)
+    vv = dot(v, v)
+    wu = dot(w, u)
+    wv = dot(w, v)
     # Corner, edge or inside, with one division at most: Ericson, Real-Time Collision Detection, 5.1.5.
     if wu <= 0 and wv <= 0:
         return 1.0, 0.0, 0.0
@@ -58,7 +62,8 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     # It is too flat to have an inside. Edges are compared by their squared distances from p, less that of corner a.
     s = min(wu / uu, 1.0) if wu > 0 else 0.0
     t = min(wv / vv, 1.0) if wv > 0 else 0.0
-    along, size = wv - wu + uu - uv, uu - 2 * uv + vv
+    along = wv - wu + uu - uv
+    size = uu - 2 * uv + vv
     r = min(along / size, 1.0) if along > 0 and size > 0 else 0.0
     ab, ac = s * (s * uu - 2 * wu), t * (t * vv - 2 * wv)
     bc = (1 - r) * ((1 - r) * uu - 2 * wu) + r * (r * vv - 2 * wv) + 2 * r * (1 - r) * uv
@@ -82,7 +87,8 @@ def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
             closest = add(add(scale(a, weights[0]), scale(b, weights[1])), scale(c, weights[2]))
             gap = sub(p, closest)
             if dot(gap, gap) < found[0]:
-                found[0], found[7] = dot(gap, gap), t
+                found[0] = dot(gap, gap)
+                found[7] = t
                 store(closest, found[1:4])
                 store(weights, found[4:7])
 
@@ -99,11 +105,15 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
     waiting, gaps = np.empty(64, np.int64), np.empty(64)  # one box for each level of the tree waits at most
     last = 0
     for i in range(len(points)):
-        p, found = vector(points[i]), out[i]
-        found[0], found[7] = within * within, -1.0
+        p = vector(points[i])
+        found = out[i]
+        found[0] = within * within
+        found[7] = -1.0
         # Points are in an order in which neighbours follow each other, so that the last leaf bounds the search well.
         _try_leaf(tree, last, p, found)
-        waiting[0], gaps[0], count = 0, _gap2(boxes, 0, p), 1
+        waiting[0] = 0
+        gaps[0] = _gap2(boxes, 0, p)
+        count = 1
         while count:
             count -= 1
             k = waiting[count]

@@ -33,7 +33,9 @@ PATCH = np.dtype([
 @inner
 def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
     """Returns the gradient of F along the object's axes, at a point (u, v, z) of the patch's frame."""
-    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
+    n = vector(patch.normal)
+    a = vector(patch.along[0])
+    b = vector(patch.along[1])
     by_u = patch.bends[0] * u + patch.bends[1] * v
     by_v = patch.bends[1] * u + patch.bends[2] * v
     return add(scale(n, 1 + patch.bend * z), add(scale(a, by_u), scale(b, by_v)))
@@ -55,7 +57,11 @@ def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any,
     way of the nearest: the far side of a thin wall and the other face of an edge do not count.
     """
     for j in range(len(nodes)):
-        place, near2, total, weights, way = vector(nodes[j]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+        place = vector(nodes[j])
+        near2 = 0.0
+        total = 0.0
+        weights = 0.0
+        way = (0.0, 0.0, 0.0)
         ahead = vector(patches[nearest[j]].normal)
         for k in range(around.shape[1]):
             patch = patches[around[nearest[j], k]]
@@ -151,7 +157,12 @@ def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int
 @inner
 def _fill(x: Any, u: float, v: float) -> None:
     """Writes the monomials of a quadric at (u, v) to x (6,)."""
-    x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v
+    x[0] = 1.0
+    x[1] = u
+    x[2] = v
+    x[3] = 0.5 * u * u
+    x[4] = u * v
+    x[5] = 0.5 * v * v
 
 
 @inner
@@ -164,7 +175,8 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
         return 2 if facing < -0.5 else 1  # 2: on the other side of a thin wall
     if patch.fits == 0:
         return 0
-    off, predicted = level_set(patch, u, v, z), 0.0
+    off = level_set(patch, u, v, z)
+    predicted = 0.0
     _fill(x, u, v)
     for i in range(6):
         for j in range(6):
@@ -179,10 +191,16 @@ def _normal_equations(
 ) -> tuple[float, float, float, float]:
     """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
     and weighted squared heights."""
-    n, origin, h = vector(patch.normal), vector(patch.point), level.window
+    n = vector(patch.normal)
+    origin = vector(patch.point)
+    h = level.window
     a, b = vector(patch.along[0]), vector(patch.along[1])
-    room.matrix[:], room.right[:] = 0.0, 0.0
-    total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
+    room.matrix[:] = 0.0
+    room.right[:] = 0.0
+    total = 0.0
+    squares = 0.0
+    rejected = 0.0
+    heights = 0.0
     for i in index:
         offset = sub(vector(cloud[i]), origin)
         u, v, z = dot(a, offset), dot(b, offset), dot(n, offset)
@@ -200,7 +218,9 @@ def _normal_equations(
             room.right[r] += w * y * room.x[r]
             for c in range(r + 1):
                 room.matrix[r, c] += w * room.x[r] * room.x[c]
-        total, squares, heights = total + w, squares + w * w, heights + w * y * y
+        total = total + w
+        squares = squares + w * w
+        heights = heights + w * y * y
     return total, squares, rejected, heights
 
 
@@ -218,11 +238,13 @@ def _fitted(cloud: Any, index: Any, level: Any, patch: Any, room: Any) -> float:
     if not factor(room.matrix, 6, 1e-12 * total, room.factor):
         return 2.0
     solve(room.factor, 6, room.right, room.solution)
-    residual, many = heights, total * total / squares
+    residual = heights
+    many = total * total / squares
     for k in range(6):
         residual -= room.solution[k] * room.right[k]
         room.powers[k] = 1.0 if k == 0 else (1 / h if k < 3 else 1 / (h * h))
-    patch.spread, room.many = max(residual, 0.0) / total * many / (many - 6), many
+    patch.spread = max(residual, 0.0) / total * many / (many - 6)
+    room.many = many
     _move(patch, room.solution, room.powers)
     noise = level.variance * level.together * squares / total
     for j in range(6):
@@ -237,7 +259,9 @@ def _fitted(cloud: Any, index: Any, level: Any, patch: Any, room: Any) -> float:
 @inner
 def _move(patch: Any, solution: Any, powers: Any) -> None:
     """Moves a patch's frame to the fitted surface z + H z²/2 = X solution, and its second derivatives with it."""
-    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
+    n = vector(patch.normal)
+    a = vector(patch.along[0])
+    b = vector(patch.along[1])
     height = solution[0]
     z = 2 * height / (1 + np.sqrt(max(1 + 2 * patch.bend * height, 0.25)))
     by_u, by_v = solution[1] * powers[1], solution[2] * powers[2]
@@ -252,9 +276,11 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
     store(n, patch.normal)
     store(a, patch.along[0])
     store(cross(n, a), patch.along[1])
-    mean, half = 0.5 * (patch.bends[0] + patch.bends[2]), 0.5 * (patch.bends[0] - patch.bends[2])
+    mean = 0.5 * (patch.bends[0] + patch.bends[2])
+    half = 0.5 * (patch.bends[0] - patch.bends[2])
     root = np.sqrt(half * half + patch.bends[1] * patch.bends[1])
-    k1, k2 = mean + root, mean - root
+    k1 = mean + root
+    k2 = mean - root
     patch.bend = (k1 * abs(k1) + k2 * abs(k2)) / max(abs(k1) + abs(k2), 1e-300)
 
 
@@ -271,11 +297,13 @@ def _tensor(patch: Any, out: Any) -> None:
 @inner
 def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
     """Returns whether a patch differs from its fit in a smaller window by more than that one's standard deviations."""
-    n, limit = vector(patch.normal), MAX_DRIFT * MAX_DRIFT
+    n = vector(patch.normal)
+    limit = MAX_DRIFT * MAX_DRIFT
     for j in range(windows):
         row = earlier[j]
         height = dot(n, sub(vector(patch.point), vector(row)))
-        turn, bend = 0.0, 0.0
+        turn = 0.0
+        bend = 0.0
         for k in range(3):
             turn += (n[k] - row[3 + k]) ** 2
         for k in range(6):
@@ -296,10 +324,13 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
     (m, windows, WINDOW_VALUES): the fits in smaller windows; those in this one are added.
     """
     # Later ones, in the order of cells, are left out.
-    level, room, index = levels[0], local(ROOM), np.empty(1500, np.int64)
+    level = levels[0]
+    room = local(ROOM)
+    index = np.empty(1500, np.int64)
     trials = np.empty(1, PATCH)
     for k in range(len(patches)):
-        patch, trial = patches[k], trials[0]
+        patch = patches[k]
+        trial = trials[0]
         if patch.ended:
             continue
         count = _gathered(cloud, keys, level, vector(patch.point), index)
@@ -322,10 +353,13 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
                 continue
         patches[k] = trial
         patch.window = level.window
-        row, C = earlier[k, level.place], patch.covariance
+        row = earlier[k, level.place]
+        C = patch.covariance
         store(vector(patch.point), row[:3])
         store(vector(patch.normal), row[3:6])
         row[6:12] = room.tensor
-        row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
+        row[12] = C[0, 0]
+        row[13] = 0.5 * (C[1, 1] + C[2, 2])
+        row[14] = 0.5 * (C[3, 3] + C[5, 5])
         row[15] = patch.spread
         patch.fits += 1

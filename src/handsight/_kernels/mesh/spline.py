@@ -82,8 +82,10 @@ def _line(
 ) -> tuple[float, float, float]:
     """Returns, of four nodes in a line, the value and its first and second derivative."""
     third = first + step + step
-    a, b = float(values[first]), float(values[first + step])
-    c, d = float(values[third]), float(values[third + step])
+    a = float(values[first])
+    b = float(values[first + step])
+    c = float(values[third])
+    d = float(values[third + step])
     return _mixed(x[0], a, b, c, d), _mixed(x[1], a, b, c, d), _mixed(x[2], a, b, c, d)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, sub, vector
 
-FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
+FAR_PATCH = 2.0
+FAR_TRIANGLE = 4.0
 """At a distance of this many of its radii, a patch or a triangle is approximated by one dipole."""
 
 
@@ -41,7 +42,8 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
     """
     starts, middles, vectors, radii = patches
     for i in range(len(points)):
-        p, total = vector(points[i]), 0.0
+        p = vector(points[i])
+        total = 0.0
         for k in range(len(middles)):
             way = sub(vector(middles[k]), p)
             gap2 = dot(way, way)

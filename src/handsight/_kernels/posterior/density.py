@@ -36,8 +36,11 @@ from handsight._kernels.records import VISION_PRIOR
 def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
     """Returns χ² of the contacts, and the log determinant of the covariances that whiten them; writes every term's
     equations by (δp, δθ), and adds their spurious information to `spurious`."""
-    model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
-    chi2, log_spread = 0.0, 0.0
+    model = evidence.model
+    field = evidence.model.fine
+    frame = (pose[1], 1.0)
+    chi2 = 0.0
+    log_spread = 0.0
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         term.equations[:] = 0.0
@@ -54,7 +57,8 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
                 # A contact that the prior has pushed to an edge is stopped on one side only: the sharp bend is a wall,
                 # and no information about the other direction. It is replaced by a plane with the contact's normal,
                 # and the gradient is set to zero, as it would pull the contact over the edge.
-                square, n = mahalanobis2(term.contact, surface, factor4), vector(term.contact.normal)
+                square = mahalanobis2(term.contact, surface, factor4)
+                n = vector(term.contact.normal)
                 plane = surface[0], n, n, FLAT, surface[4]
                 add_contact(term, plane, frame, term.equations)
                 for k in range(6):
@@ -122,7 +126,8 @@ def largest_gain(evidence: Evidence, u: Any) -> float:
     With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
     share of other evidence is in `u.equations`; spurious information is part of the cost, and is not subtracted.
     """
-    total, most = u.wider, 0.0
+    total = u.wider
+    most = 0.0
     for r in range(6):
         for c in range(r + 1):
             total[r, c] = u.equations[r, c]

@@ -56,17 +56,20 @@ def mark_spins(model: Any, R: Mat33, matrix: Any) -> float:
 def _leave_out_spins(model: Any, R: Mat33, flat: Any) -> None:
     """Makes the slopes of the eigenvectors nearest to spins about declared axes infinite, and their rises negative."""
     for _ in range(model.symmetry.axes):
-        nearest, most = 0, -1.0
+        nearest = 0
+        most = -1.0
         for n in range(6):
             part = 0.0
             for k in range(model.symmetry.axes):
-                spin, along = _spin(model, R, k), 0.0
+                spin = _spin(model, R, k)
+                along = 0.0
                 for i in range(6):
                     along += flat.vectors[i, n] * spin[i]
                 part += along * along
             if part > most and flat.slopes[n] < np.inf:
                 nearest, most = n, part
-        flat.slopes[nearest], flat.rises[nearest] = np.inf, -np.inf
+        flat.slopes[nearest] = np.inf
+        flat.rises[nearest] = -np.inf
 
 
 @inner
@@ -76,7 +79,9 @@ def choose(evidence: Evidence, pose: Pose, flat: Any) -> None:
 
     A spin about a declared axis is neither.
     """
-    radius, rises, slopes = evidence.model.radius, flat.rises, flat.slopes
+    radius = evidence.model.radius
+    rises = flat.rises
+    slopes = flat.slopes
     flat.count = flat.count_across = 0
     _leave_out_spins(evidence.model, pose[0], flat)
     for n in range(INTEGRATION.max_directions):
@@ -91,8 +96,10 @@ def choose(evidence: Evidence, pose: Pose, flat: Any) -> None:
             if n == 0:  # all there is to a line; a lattice is built later
                 _copy_column(flat.vectors, widest, flat.lattice, n)
             flat.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
-            flat.count, rises[widest] = n + 1, -np.inf
-    blind, flat.proper = evidence.prior.kind == WEAK_PRIOR, True
+            flat.count = n + 1
+            rises[widest] = -np.inf
+    blind = evidence.prior.kind == WEAK_PRIOR
+    flat.proper = True
     for k in range(6):
         flat.proper = flat.proper and not (blind and slopes[k] * (CALIBRATION.open_sigma * radius) ** 2 < 1)
         if rises[k] >= 0:
@@ -143,11 +150,16 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
     of an interval; a spread over several directions is wider than along one of them. A mode may lie in a corner, so
     each direction is followed from the middle of the one before, twice.
     """
-    radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
+    radius = evidence.model.radius
+    middle = np.zeros(6)
+    six = np.zeros(6)
     for m in range(flat.count * INTEGRATION.sweeps):
-        n, ends = m % flat.count, (0.0, 0.0)
+        n = m % flat.count
+        ends = (0.0, 0.0)
         for side in range(2):
-            length, near, far = flat.spacing[n], 0.0, 2 * radius
+            length = flat.spacing[n]
+            near = 0.0
+            far = 2 * radius
             for _ in range(INTEGRATION.max_probes):
                 for i in range(6):
                     six[i] = middle[i] + flat.along[i, n] * (-length if side else length)
@@ -200,7 +212,8 @@ def coordinates_at(flat: Any, point: Any, out: Any) -> None:
 def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
     """Returns whether a standard deviation along each flat direction has enough points; where not, their spacing is
     made smaller."""
-    fine, wanted = True, flat.points_per_sigma
+    fine = True
+    wanted = flat.points_per_sigma
     for k in range(flat.count):
         mean = square = 0.0
         for i in range(6):

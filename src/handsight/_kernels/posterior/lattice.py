@@ -65,7 +65,9 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     step that changes much another one follows, and of the last one nothing that it predicts is believed; not so where
     the cost is above `flat.most_cost`.
     """
-    radius, count, cost = evidence.model.radius, 0, 0.0
+    radius = evidence.model.radius
+    count = 0
+    cost = 0.0
     point.log_weight = -np.inf
     for _ in range(INTEGRATION.steps_across):
         coordinates_at(flat, point, u.row)
@@ -75,7 +77,8 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
             evidence, ALL | REWHITENED, evidence.model.fine, pose, (evidence.center, radius), u.equations
         )
         count = flat.count_across if _relax(flat, matmul(pose[0], transpose(mode[0])), u) else 0
-        cost, fall = u.equations[6, 6], 0.0
+        cost = u.equations[6, 6]
+        fall = 0.0
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]

@@ -56,8 +56,12 @@ def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any, 
     reach = INTEGRATION.max_extent[flat.count - 2]
     side = 2 * reach + 1
     visited = np.zeros(side**flat.count, np.bool_)
-    count, done, middle, best = 1, 0, len(visited) // 2, -np.inf
-    points[0].index[:], points[0].lateral[:] = 0.0, 0.0
+    count = 1
+    done = 0
+    middle = len(visited) // 2
+    best = -np.inf
+    points[0].index[:] = 0.0
+    points[0].lateral[:] = 0.0
     visited[middle] = True
     while done < count:
         point = points[done]
@@ -97,7 +101,8 @@ def _secant(points: Any, order: Any, n: int, floor: float) -> float:
     there is none, or where a wall may be between them. What is below `floor` counts as there."""
     if n < 0 or n > len(order) - 2:
         return np.nan
-    a, b = points[order[n]], points[order[n + 1]]
+    a = points[order[n]]
+    b = points[order[n + 1]]
     rise = max(b.log_weight, floor) - max(a.log_weight, floor)
     return rise / (b.index[0] - a.index[0]) if abs(rise) < INTEGRATION.wall_fall else np.nan
 
@@ -108,7 +113,8 @@ def _find_bends(points: Any, order: Any, floor: float) -> None:
     density there and at its neighbours; NaN at an end and beside a wall."""
     before = np.nan
     for n in range(len(order)):
-        after, points[order[n]].bend = _secant(points, order, n, floor), np.nan
+        after = _secant(points, order, n, floor)
+        points[order[n]].bend = np.nan
         if before == before and after == after:
             both = points[order[n + 1]].index[0] - points[order[n - 1]].index[0]
             points[order[n]].bend = (after - before) / both
@@ -142,7 +148,8 @@ def _wall(
     rising = points[order[at]].log_weight > points[order[at - 1]].log_weight
     inside = order[at if rising else at - 1]
     before = order[min(at + 1, len(order) - 1) if rising else max(at - 2, 0)]
-    near, beyond = points[inside].index[0], points[order[at - 1 if rising else at]].index[0]
+    near = points[inside].index[0]
+    beyond = points[order[at - 1 if rising else at]].index[0]
     limit = points[inside].cost + 2 * INTEGRATION.wall_depth
     for _ in range(INTEGRATION.halvings):
         point.index[0] = 0.5 * (near + beyond)
@@ -165,14 +172,22 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
     place: at a wall if it falls steeply, else in the middle where the parabolas through the points around it differ.
     Between points the logarithm of the density is a cubic, and all else linear.
     """
-    order, u = np.empty(len(points), np.int64), local(UNCERTAINTY)
+    order = np.empty(len(points), np.int64)
+    u = local(UNCERTAINTY)
     # On a mesh a slide may be bent, and its density bumpy: steps are shorter, and all that falls is looked into.
     smooth = evidence.model.fine.kind not in (GRID, SHEET)
     low = high = (INTEGRATION.first_step if smooth else 1.0) * flat.spacing[0]
-    count, best, at, place, passed, pending, beyond = 0, -np.inf, 0, 0.0, 0, False, 0.0
+    count = 0
+    best = -np.inf
+    at = 0
+    place = 0.0
+    passed = 0
+    pending = False
+    beyond = 0.0
     while True:
         point = points[count]
-        point.index[:], point.lateral[:] = 0.0, 0.0
+        point.index[:] = 0.0
+        point.lateral[:] = 0.0
         point.index[0] = place
         if count:
             n = min(max(at, 1), count - 1)  # outward, the last two
@@ -186,19 +201,26 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
                 low, high = (2 * low, high) if at == 0 else (low, 2 * high)
         for n in range(count, at, -1):
             order[n] = order[n - 1]
-        order[at], count, best = count, count + 1, max(best, point.log_weight)
+        order[at] = count
+        count = count + 1
+        best = max(best, point.log_weight)
         flat.most_cost = points[0].cost + 2 * (points[0].log_weight - best + INTEGRATION.given_up)
         if point.log_weight > best - 0.5 * INTEGRATION.max_cost:
             cover(flat, others, u)
-        first, last = points[order[0]], points[order[count - 1]]
+        first = points[order[0]]
+        last = points[order[count - 1]]
         if count == len(points):
             break
         if pending:
-            at, place, pending = at + (1 if beyond > place else 0), beyond, False
+            at = at + (1 if beyond > place else 0)
+            place = beyond
+            pending = False
         elif first.log_weight > best - INTEGRATION.max_fall:
-            at, place = 0, first.index[0] - low
+            at = 0
+            place = first.index[0] - low
         elif last.log_weight > best - INTEGRATION.max_fall:
-            at, place = count, last.index[0] + high
+            at = count
+            place = last.index[0] + high
         elif count == 1:  # no number, or so improbable that nothing can be told from it
             break
         else:
@@ -210,11 +232,13 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
                     place += flat.along[i, 0] * others[passed, i]
                 passed += 1
                 for n in range(1, count):
-                    a, b = points[order[n - 1]].index[0], points[order[n]].index[0]
+                    a = points[order[n - 1]].index[0]
+                    b = points[order[n]].index[0]
                     at, most = (n, np.inf) if min(place - a, b - place) > 1e-9 else (at, most)
             if not most > INTEGRATION.misplaced:
                 break
-            a, b = points[order[at - 1]], points[order[at]]
+            a = points[order[at - 1]]
+            b = points[order[at]]
             steep = abs(a.log_weight - b.log_weight) > INTEGRATION.wall_fall
             if smooth and steep and most < np.inf and count + 1 < len(points):
                 beyond = _wall(evidence, mode, flat, points, order[:count], at, points[count], u)
@@ -231,13 +255,21 @@ def _worst_gap(points: Any, order: Any, floor: float, smooth: bool) -> tuple[int
     """Returns the gap in which most of the density may be at the wrong place, by the number of its second point in
     order, and how much that is, as a part of all: all that falls there at a wall, or where the density is not known to
     be smooth, else as much as bends around it differ."""
-    count, at, most, mass = len(order), 1, 0.0, 0.0
+    count = len(order)
+    at = 1
+    most = 0.0
+    mass = 0.0
     _find_bends(points, order, floor)
     for n in range(1, count):
-        a, b = points[order[n - 1]], points[order[n]]
-        gap, fall, differ, bends = b.index[0] - a.index[0], abs(a.log_weight - b.log_weight), -1.0, 0
+        a = points[order[n - 1]]
+        b = points[order[n]]
+        gap = b.index[0] - a.index[0]
+        fall = abs(a.log_weight - b.log_weight)
+        differ = -1.0
+        bends = 0
         for m in range(max(n - 2, 0), min(n + 1, count - 1)):
-            first, second = points[order[m]].bend, points[order[m + 1]].bend
+            first = points[order[m]].bend
+            second = points[order[m + 1]].bend
             if first == first and second == second:
                 differ = max(differ, abs(first - second) * gap * gap)
         for point in (a, b):
@@ -257,17 +289,21 @@ def _worst_gap(points: Any, order: Any, floor: float, smooth: bool) -> tuple[int
 def _slope(points: Any, order: Any, n: int, floor: float) -> float:
     """Returns the slope of the logarithm of the density at the n-th point in order: that of the parabola through it and
     its neighbours, on the same side of a wall, but no steeper than a monotone cubic has it (Fritsch and Carlson)."""
-    before, after = _secant(points, order, n - 1, floor), _secant(points, order, n, floor)
+    before = _secant(points, order, n - 1, floor)
+    after = _secant(points, order, n, floor)
     if before == before and after == after:
         left = points[order[n]].index[0] - points[order[n - 1]].index[0]
-        slope, least = before + left * points[order[n]].bend, min(abs(before), abs(after))
+        slope = before + left * points[order[n]].bend
+        least = min(abs(before), abs(after))
     elif before == before:
         bend = points[order[n - 1]].bend
-        gap, least = points[order[n]].index[0] - points[order[n - 1]].index[0], abs(before)
+        gap = points[order[n]].index[0] - points[order[n - 1]].index[0]
+        least = abs(before)
         slope = before + gap * (bend if bend == bend else 0.0)
     elif after == after:
         bend = points[order[n + 1]].bend
-        gap, least = points[order[n + 1]].index[0] - points[order[n]].index[0], abs(after)
+        gap = points[order[n + 1]].index[0] - points[order[n]].index[0]
+        least = abs(after)
         slope = after - gap * (bend if bend == bend else 0.0)
     else:
         return 0.0
@@ -296,9 +332,14 @@ def _share(points: Any, order: Any, flat: Any, radius: float, sums: Any) -> None
                     for j in range(6):
                         point.within[i, j] = beside.within[i, j]
     for n in range(1, len(order)):
-        a, b = points[order[n - 1]], points[order[n]]
-        gap, low, high = b.index[0] - a.index[0], max(a.log_weight, floor), max(b.log_weight, floor)
-        between, before, slope = 0.0, slope, _slope(points, order, n, floor)
+        a = points[order[n - 1]]
+        b = points[order[n]]
+        gap = b.index[0] - a.index[0]
+        low = max(a.log_weight, floor)
+        high = max(b.log_weight, floor)
+        between = 0.0
+        before = slope
+        slope = _slope(points, order, n, floor)
         for m in range(INTEGRATION.parts if max(low, high) > floor else 0):
             x = (m + 0.5) / INTEGRATION.parts
             y = 1 - x
@@ -323,18 +364,26 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
     cost: minus two log of the density at the mode.
     """
     choose(evidence, mode, flat)
-    nodes, terms, hand, given = evidence.nodes, evidence.terms, evidence.outside, evidence.constraints
+    nodes = evidence.nodes
+    terms = evidence.terms
+    hand = evidence.outside
+    given = evidence.constraints
     near = Evidence(evidence.model, nodes, terms, hand, evidence.measured, given, evidence.prior, mode[1])
     flat.bump_margin = INTEGRATION.bump_sigmas * cost_deviation(evidence, mode)
     flat.level = cost - evidence_cost(evidence, PRIOR | FIXED_NOISE, mode) + flat.bump_margin
     points = np.empty(INTEGRATION.max_points[min(flat.count, 2) - 1], LATTICE_POINT)
-    one, cell, flat.most_cost = flat.count == 1, 0.0, np.inf
+    one = flat.count == 1
+    cell = 0.0
+    flat.most_cost = np.inf
     if not one:
         flat.most_cost = -np.inf  # one step suffices from a lattice's point to the next
         measure(near, mode, flat, cost + flat.bump_margin)
     for _ in range(INTEGRATION.max_lattices):
-        others[:, 6], sums.total = 0.0, 0.0
-        sums.first[:], sums.second[:], sums.within[:] = 0.0, 0.0, 0.0
+        others[:, 6] = 0.0
+        sums.total = 0.0
+        sums.first[:] = 0.0
+        sums.second[:] = 0.0
+        sums.within[:] = 0.0
         if one:
             count = _follow(near, mode, flat, others, points, sums)
         else:
@@ -356,7 +405,8 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
 def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
     """Writes the answer's pose, covariance and information; where a direction is unknown, as may be without vision, the
     latter two stay the mode's."""
-    u, radius = local(UNCERTAINTY), model.radius
+    u = local(UNCERTAINTY)
+    radius = model.radius
     for i in range(6):
         u.row[i] = sums.first[i] / sums.total
     mean = u.row
@@ -389,7 +439,9 @@ def to_mean(evidence: Evidence, answers: Any, k: int, flat: Any, best: float) ->
     Another mode that is reached along the flat directions is part of that mean: its weight becomes -1. `log_weight`
     becomes the logarithm of the integral. An answer's `pose` remains the mode.
     """
-    model, row, weak = evidence.model, answers[k], evidence.prior.kind == WEAK_PRIOR
+    model = evidence.model
+    row = answers[k]
+    weak = evidence.prior.kind == WEAK_PRIOR
     not_gaussian = row.departure > INTEGRATION.max_gaussian_rise and (row.complete or not weak)
     if (
         k >= INTEGRATION.max_modes
@@ -398,7 +450,9 @@ def to_mean(evidence: Evidence, answers: Any, k: int, flat: Any, best: float) ->
         or not (row.mean and not_gaussian)
     ):
         return best
-    mode, sums, others = pose_of(row.pose), local(SUMS), np.empty((len(answers) - k - 1, 7))
+    mode = pose_of(row.pose)
+    sums = local(SUMS)
+    others = np.empty((len(answers) - k - 1, 7))
     for n in range(len(others)):
         # Coordinates (s, radius θ), from the mode, of the other mode's nearest equivalent.
         Q, q = nearest(model, pose_of(answers[k + 1 + n].pose), mode)

@@ -31,7 +31,8 @@ def follow(rows: Any, walked: Any, gaps: Any, drift: Any, mean: Any, covariance:
                 covariance[j, i] *= kept
             covariance[i, i] += (1.0 - kept * kept) * drift[(i - DRIFT) // 3]
         for m in range(6):
-            innovation, variance = rows[k, m, n], 1.0
+            innovation = rows[k, m, n]
+            variance = 1.0
             for i in range(n):
                 gain[i] = 0.0
                 for j in range(n):

@@ -45,7 +45,9 @@ def add_spurious_information(
     slope, curvature = model_error(model.error, nodes, surface[4], 2)
     if slope + curvature == 0.0:
         return
-    W, n, lever = term.weight, surface[2], sub(vector(term.contact.point), pose[1])
+    W = term.weight
+    n = surface[2]
+    lever = sub(vector(term.contact.point), pose[1])
     # A shift along either tangent axis meets the error of the curvature along it, and that of the mixed curvature,
     # which has half the variance: 1.5 variances.
     tangential = (W[1, 1] + W[2, 2] + W[3, 3]) / TRACE
@@ -63,7 +65,8 @@ def add_spurious_information(
 def subtract_spurious_information(by_touch: Any, equations: Any, radius: float) -> None:
     """Subtracts the sum of `add_spurious_information` from an information (6, 6) by (δp, δθ), which stays at least zero
     in every direction."""
-    u, total = local(UNCERTAINTY), 0.0
+    u = local(UNCERTAINTY)
+    total = 0.0
     for i in range(6):
         total += equations[i, i]
     if total == 0.0:
@@ -86,7 +89,8 @@ def cost_deviation(evidence: Evidence, pose: Pose) -> float:
     The finger's error n ~ N(0, S) stays the same, the bumps' e ~ N(0, V) changes from place to place. With
     W = (S + V)⁻¹ the cost (n + e)ᵀ W (n + e) has the variance 4 tr(W V) - 2 tr(W V W V), a mean over n.
     """
-    model, square = evidence.model, 0.0
+    model = evidence.model
+    square = 0.0
     if model.error.inverse_cell == 0.0:
         return 0.0
     for i in range(len(evidence.terms)):

@@ -59,7 +59,9 @@ def calibrated_information(
     two, and again where that more than halved it. Written to `rises` (6) is that ratio on the steeper side: infinite
     where a deviation is as large as in an unobservable direction, and 0 where nothing is known.
     """
-    radius, largest, here = evidence.model.radius, 0.0, 0.0
+    radius = evidence.model.radius
+    largest = 0.0
+    here = 0.0
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
@@ -91,7 +93,8 @@ def calibrated_information(
 @inner
 def _departure(model: Any, values: Any, rises: Any) -> float:
     """Returns the largest rise along a wide direction; infinite if more is unknown than spins about declared axes."""
-    most, unknown = 0.0, 0
+    most = 0.0
+    unknown = 0
     for k in range(6):
         if values[k] * (CALIBRATION.wide_sigma * model.radius) ** 2 < 1:
             most = max(most, rises[k])
@@ -109,7 +112,11 @@ def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool
     an uncertain turn is therefore an arc, wider than the first order by the covariance of `δθ × s`. Deviations count up
     to the radius: what touches cannot move further. Unknown directions stay unknown.
     """
-    radius, values, vectors, largest, known = model.radius, u.values, u.vectors, 0.0, 0
+    radius = model.radius
+    values = u.values
+    vectors = u.vectors
+    largest = 0.0
+    known = 0
     for k in range(6):
         largest = max(largest, values[k])
     complete = True
@@ -179,7 +186,8 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
     They are judged about the object's center: an origin far from the object swings by metres where the object itself
     hardly turns.
     """
-    radius, count = model.radius, 0
+    radius = model.radius
+    count = 0
     limit = 1 / (CALIBRATION.open_sigma * radius) ** 2
     lever = mul(pose[0], vector(model.center))
     about_point(by_touch, lever, u.matrix)
@@ -191,7 +199,9 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
         if u.values[k] < limit:
             shift, turn = column(u.vectors, k, 1.0, radius)
             # δp at the origin is that of the center less the turn's part.
-            moved, row, square = sub(shift, cross(turn, lever)) + scale(turn, radius), out[count], 0.0
+            moved = sub(shift, cross(turn, lever)) + scale(turn, radius)
+            row = out[count]
+            square = 0.0
             for i in range(6):
                 row[i] = moved[i]
             for earlier in range(count):  # Gram-Schmidt
@@ -215,7 +225,8 @@ def _shape(evidence: Evidence, pose: Pose, row: Any, flat: Any, u: Any) -> None:
 
     Where a mean is wanted, the cost along the wide ones is also read as far away as walls may be.
     """
-    radius, row.departure = evidence.model.radius, 0.0
+    radius = evidence.model.radius
+    row.departure = 0.0
     in_metres(row.information, radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)
     for i in range(6):
@@ -246,7 +257,8 @@ def _shape(evidence: Evidence, pose: Pose, row: Any, flat: Any, u: Any) -> None:
 @inner
 def summarize(evidence: Evidence, pose: Pose, row: Any, flat: Any) -> None:
     """Fills in an ANSWER of a pose, all but the pose itself, and the shape of its mode."""
-    model, u = evidence.model, local(UNCERTAINTY)
+    model = evidence.model
+    u = local(UNCERTAINTY)
     chi2, cost = information(evidence, pose, row.information, u)
     row.chi2, row.posterior_cost = chi2, cost
     row.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0

@@ -49,7 +49,8 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior: Any, measured: Any) -> Vec3:
     """Returns the centroid of the contacts (n,); fills in their TERM (n,), and the PRIOR_TERM of the constraints' prior
     or, where they have none, of the weak prior on the position. Nothing is `measured` then."""
-    measured.nodes, measured.points = -1, 0
+    measured.nodes = -1
+    measured.points = 0
     center = load_terms(contacts, terms)
     if constraints.has_prior:
         vision_prior(model, constraints.prior, prior, local(UNCERTAINTY))
@@ -102,8 +103,11 @@ def correct(
     the pose is computed, for benchmarks. `residuals` (n, 2) are written: distance [m], angle [rad].
     """
     prior, measured, flat = local(PRIOR_TERM), local(MEASURED), local(FLAT_DIRECTIONS)
-    hand, trial = outside.copy(), local(ANSWER)
-    problem, answer, given = problems[0], problems[0].answer, constraints[0]
+    hand = outside.copy()
+    trial = local(ANSWER)
+    problem = problems[0]
+    answer = problems[0].answer
+    given = constraints[0]
     any_width = problem.follows or problem.pose_only
     answer.width = 0.0 if any_width else prior_width(model[0], given.prior)
     answer.verdict = DOUBTED
@@ -116,7 +120,8 @@ def correct(
     follows = problem.follows != 0
     worst = 0
     pose = pose_of(problem.start) if follows else prior_pose
-    answer.first_order, answer.weight = 0, 1.0
+    answer.first_order = 0
+    answer.weight = 1.0
     # Where a contact does not fit, it may only have led the descent astray: that goes on without the worst one, and
     # from there with all, unless χ² falls less without it than to first order.
     for attempt in range(3):
@@ -157,7 +162,10 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
     """
-    term, measured, u, radius = local(PRIOR_TERM), local(MEASURED), local(UNCERTAINTY), model[0].radius
+    term = local(PRIOR_TERM)
+    measured = local(MEASURED)
+    u = local(UNCERTAINTY)
+    radius = model[0].radius
     terms = np.empty(contacts.shape[1], TERM)
     floor = (1e-9 if constraints[0].has_prior else 1.0) / (radius * radius)
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
@@ -179,7 +187,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
         volume = 0.0
         for i in range(6):
             volume -= 0.5 * np.log(max(u.values[i], floor))
-        descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
+        descent.log_weight = volume - cost / 2
+        descent.posterior_cost = cost
         descent.gain = largest_gain(evidence, u)
         descent.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
         for i in range(len(terms) if k == 0 else 0):
@@ -192,8 +201,11 @@ def summarize_all(
 ) -> None:
     """Completes answers (K,) whose pose is filled in, with the first set of contacts, and turns them into means where
     they ask for it; the contacts' gains at the first pose are written too."""
-    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
-    flat, best = local(FLAT_DIRECTIONS), -np.inf
+    term = local(PRIOR_TERM)
+    measured = local(MEASURED)
+    terms = np.empty(contacts.shape[1], TERM)
+    flat = local(FLAT_DIRECTIONS)
+    best = -np.inf
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
     evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(answers)):
@@ -208,7 +220,9 @@ def summarize_all(
 @entry
 def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in minus two log of the posterior density of descents (K,), with the first set of contacts."""
-    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
+    term = local(PRIOR_TERM)
+    measured = local(MEASURED)
+    terms = np.empty(contacts.shape[1], TERM)
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
     evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(descents)):
@@ -221,9 +235,13 @@ def visit_all(
 ) -> None:
     """Fills in points (K,) LATTICE_POINT along the directions `flat` (1,) from a pose (4, 4), with the first set of
     contacts; see `lattice.visit`."""
-    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
+    term = local(PRIOR_TERM)
+    measured = local(MEASURED)
+    terms = np.empty(contacts.shape[1], TERM)
     load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
-    mode, u, given = transform_of(T_mode), local(UNCERTAINTY), constraints[0]
+    mode = transform_of(T_mode)
+    u = local(UNCERTAINTY)
+    given = constraints[0]
     evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, given, term, mode[1])
     for k in range(len(points)):
         visit(evidence, mode, flat[0], points[k], u)
@@ -249,7 +267,8 @@ def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) ->
             break
         new = True
         for k in range(count):
-            pose, other = pose_of(descents[index].pose), pose_of(descents[chosen[k]].pose)
+            pose = pose_of(descents[index].pose)
+            other = pose_of(descents[chosen[k]].pose)
             if not are_distinct(model[0], pose, other, limits):
                 new = False
                 break

@@ -50,9 +50,11 @@ def distinct_candidates(symmetries: Any, limits: Any, candidates: Any, order: An
     any where there are none; the object's radius [m]; the distance [m] of two poses that are not near each other, by
     that point's shift and radius times the turn.
     """
-    about, count = (limits[0], limits[1], limits[2]), 0
+    about = (limits[0], limits[1], limits[2])
+    count = 0
     for n in order:
-        new, pose = True, pose_of(candidates[n].pose)
+        new = True
+        pose = pose_of(candidates[n].pose)
         for k in range(count):
             if _alike(symmetries, about, limits[3], limits[4], (pose_of(candidates[kept[k]].pose), pose)):
                 new = False

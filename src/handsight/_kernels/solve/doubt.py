@@ -26,7 +26,8 @@ def chi2_survival(chi2: float, freedom: int) -> float:
     """
     if not chi2 > 0.0:
         return 0.0 if chi2 != chi2 else 1.0
-    half, odd = 0.5 * chi2, freedom % 2
+    half = 0.5 * chi2
+    odd = freedom % 2
     log_term = -half + (np.log(2 * np.sqrt(half / np.pi)) if odd else 0.0)
     total = math.erfc(np.sqrt(half)) if odd else 0.0
     for m in range(freedom // 2):
@@ -42,8 +43,13 @@ def _confirmed(evidence: Evidence, answer: Any) -> bool:
     Those that the coarse field leads to where it led an earlier one go no further, and none does once one has led
     elsewhere.
     """
-    model, given, found, u = evidence.model, evidence.constraints, pose_of(answer.pose), local(UNCERTAINTY)
-    terms, ends, count = evidence.terms.copy(), np.empty(len(DRAWS), POSE), 0
+    model = evidence.model
+    given = evidence.constraints
+    found = pose_of(answer.pose)
+    u = local(UNCERTAINTY)
+    terms = evidence.terms.copy()
+    ends = np.empty(len(DRAWS), POSE)
+    count = 0
     nodes, hand, measured = evidence.nodes, evidence.outside, evidence.measured
     evidence = Evidence(model, nodes, terms, hand, measured, given, evidence.prior, evidence.center)
     spread(given.prior, u)
@@ -96,10 +102,12 @@ def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) ->
     contact is suspicious, a few draws from the prior decide, as where the descent was at first `led_astray`. A descent
     that `follows` started at a mode that a search has led to; then it is enough that the evidence fits.
     """
-    cost, rows = answer.cost, max(answer.rows, 1)
+    cost = answer.cost
+    rows = max(answer.rows, 1)
     if not answer.converged:
         return DOUBTED
-    fine, count = evidence.model.fine.kind, len(evidence.terms)
+    fine = evidence.model.fine.kind
+    count = len(evidence.terms)
     # Three contacts, or four of which some have no normal, on a surface that is bent in more than one way.
     few = rows <= ACCEPTANCE.few_rows or (
         count <= ACCEPTANCE.few_contacts and rows <= 3 * ACCEPTANCE.few_contacts

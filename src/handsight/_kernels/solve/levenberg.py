@@ -61,7 +61,8 @@ def retract(pose: Pose, step: tuple[Vec3, Vec3], center: Vec3, radius: float) ->
 def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
     """Returns the largest component of a step [m], and its squared length in standard deviations."""
     six = step[0] + step[1]
-    longest, square = 0.0, 0.0
+    longest = 0.0
+    square = 0.0
     for i in range(6):
         longest = max(longest, abs(six[i]))
         square += equations[i, i] * six[i] * six[i]
@@ -80,11 +81,16 @@ def descend(
     cost; only a step that was taken can end a descent as converged. `rewhiten`: whether the contacts are weighted by
     their covariance at the first pose; otherwise they keep their last weights.
     """
-    workspace, radius, center = local(WORKSPACE), evidence.model.radius, evidence.center
+    workspace = local(WORKSPACE)
+    radius = evidence.model.radius
+    center = evidence.center
     now, new = workspace.now, workspace.next
     most, small = limits
     step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    candidate, damping, tried, converged = pose, 1e-6, -1, False
+    candidate = pose
+    damping = 1e-6
+    tried = -1
+    converged = False
     while True:
         # Only this place evaluates, the first pose as well as every candidate: it takes most of the time to compile.
         new[:] = 0.0

@@ -48,7 +48,9 @@ from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract, step_size
 from handsight._kernels.solve.options import DESCENT, REGISTRATION
 
-AGAIN, ANEW, DONE = 0, 1, 2
+AGAIN = 0
+ANEW = 1
+DONE = 2
 """Stages of a descent."""
 
 
@@ -77,12 +79,16 @@ def add_registered(
     information. `squares` (n, 3) is written: squared residuals, and the probabilities that a contact is right, and that
     its distance alone is.
     """
-    model, field, cost = evidence.model, evidence.model.fine, 0.0
+    model = evidence.model
+    field = evidence.model.fine
+    cost = 0.0
     for g in range(len(groups)):
         groups[g].equations[:] = 0.0
     for i in range(len(contacts)):
-        term, group = evidence.terms[i], groups[of_group[i]]
-        moved, softness = pose_of(group.pose), group.softness
+        term = evidence.terms[i]
+        group = groups[of_group[i]]
+        moved = pose_of(group.pose)
+        softness = group.softness
         store(apply(moved, vector(contacts[i].point)), term.contact.point)
         store(mul(moved[0], vector(contacts[i].normal)), term.contact.normal)
         surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
@@ -90,21 +96,25 @@ def add_registered(
             whiten(model, evidence.nodes, field, term, surface)
         own[:] = 0.0
         add_contact(term, surface, frame, own)
-        square, by_distance = own[6, 6], np.inf
+        square = own[6, 6]
+        by_distance = np.inf
         if term.contact.has_normal:
             by_distance = surface[0] * surface[0] / term.variance_distance
         wrong = REGISTRATION.wrong_cost if term.contact.has_normal else REGISTRATION.wrong_distance
         rho, right, flipped = responsibilities(square / softness, by_distance / softness, wrong)
         cost += softness * rho
         squares[i, 0], squares[i, 1], squares[i, 2] = square, right, flipped
-        equations, K, normal = group.equations, surface[3], vector(term.contact.normal)
+        equations = group.equations
+        K = surface[3]
+        normal = vector(term.contact.normal)
         if stage == DONE and dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2]) > model.edge_curvature2:
             # An edge stops a contact on one side only: it counts as a plane (see `density.contact_information`).
             own[:] = 0.0
             add_contact(term, (surface[0], normal, normal, FLAT, surface[4]), frame, own)
             for k in range(6):
                 own[6, k] = own[k, 6] = 0.0
-            own[6, 6], flipped = square, 0.0
+            own[6, 6] = square
+            flipped = 0.0
         for r in range(7):
             for c in range(7):
                 equations[r, c] += right * own[r, c]
@@ -114,7 +124,9 @@ def add_registered(
         if stage == DONE and right > 0.5:
             add_spurious_information(model, evidence.nodes, term, surface, pose, group.spurious)
     for g in range(len(groups) - 1):
-        group, softness, square = groups[g], groups[g].softness, 0.0
+        group = groups[g]
+        softness = groups[g].softness
+        square = 0.0
         for r in range(6):
             for c in range(6):
                 square += group.error[r] * group.information[r, c] * group.error[c]
@@ -128,7 +140,9 @@ def add_registered(
 def reduce(group: Any, shared: bool, damping: float, total: Any, u: Any) -> None:
     """Adds a group's equations to `total` without its error: H A⁻¹ L and L A⁻¹ g + H A⁻¹ Λ e, with H and g those of its
     contacts, Λ the information of its error e, L = Λ + damping, and A = H + L."""
-    H, L, gradient = group.equations, u.wider, group.equations[6]
+    H = group.equations
+    L = u.wider
+    gradient = group.equations[6]
     if not shared:
         for r in range(7):
             for c in range(7):
@@ -174,7 +188,8 @@ def moved_group(group: Any, step: Any, center: Vec3, radius: float, u: Any, out:
             u.row[r] += group.equations[r, c] * step[c]
             u.row[r] -= group.weight * group.information[r, c] * group.error[c]
     solve(group.factor, 6, u.row, u.column)
-    shift, turn = vector(u.column), vector(u.column[3:])
+    shift = vector(u.column)
+    turn = vector(u.column[3:])
     store_pose(retract(pose_of(group.pose), (shift, turn), center, radius), out.pose)
     for r in range(6):
         out.error[r] = group.error[r] + u.column[r]
@@ -187,11 +202,23 @@ def _descend(
     """Returns the pose after a damped descent, its cost, the steps tried, and whether it converged; the groups move
     with it."""
     workspace, u, memory = local(WORKSPACE), local(UNCERTAINTY), local(UNCERTAINTY)
-    model, center, radius, last = evidence.model, evidence.center, evidence.model.radius, len(groups) - 1
-    kinds, frame, now, others = WALLS | FIXED_NOISE | PRIOR, (center, radius), workspace.now, u.walls
-    trial, candidate, six = groups.copy(), pose, u.values
-    damping, cost, tried, converged = 1e-9, np.inf, -1, False
-    longest, square = 0.0, np.inf
+    model = evidence.model
+    center = evidence.center
+    radius = evidence.model.radius
+    last = len(groups) - 1
+    kinds = WALLS | FIXED_NOISE | PRIOR
+    frame = (center, radius)
+    now = workspace.now
+    others = u.walls
+    trial = groups.copy()
+    candidate = pose
+    six = u.values
+    damping = 1e-9
+    cost = np.inf
+    tried = -1
+    converged = False
+    longest = 0.0
+    square = np.inf
     while True:
         stage = ANEW if tried < 0 else AGAIN
         new = add_registered(
@@ -249,13 +276,12 @@ def _calibrate(
 ) -> None:  # fmt: skip
     """Lowers the eigenvalues of an information [1/m²] in wide directions to what the cost beside the pose shows, with
     the groups moved along; as `uncertainty.calibrated_information` does without groups."""
-    model, memory, trial, kinds = (
-        evidence.model,
-        local(UNCERTAINTY),
-        groups.copy(),
-        WALLS | FIXED_NOISE | PRIOR,
-    )
-    frame, radius = (pose[1], 1.0), evidence.model.radius
+    model = evidence.model
+    memory = local(UNCERTAINTY)
+    trial = groups.copy()
+    kinds = WALLS | FIXED_NOISE | PRIOR
+    frame = (pose[1], 1.0)
+    radius = evidence.model.radius
     for k in range(6):
         change = 0.0
         if not 1 / (REGISTRATION.wide_sigma * radius) ** 2 > u.values[k] > 1 / (radius * radius):
@@ -283,8 +309,12 @@ def _summarize(
     evidence: Evidence, contacts: Any, of_group: Any, groups: Any, pose: Pose, squares: Any, answer: Any
 ) -> None:
     """Fills in an ANSWER of a pose, all but the pose itself."""
-    model, u, memory, last = evidence.model, local(UNCERTAINTY), local(UNCERTAINTY), len(groups) - 1
-    frame, lever = (pose[1], 1.0), sub(pose[1], evidence.center)
+    model = evidence.model
+    u = local(UNCERTAINTY)
+    memory = local(UNCERTAINTY)
+    last = len(groups) - 1
+    frame = (pose[1], 1.0)
+    lever = sub(pose[1], evidence.center)
     for g in range(len(groups)):
         group = groups[g]
         group.spurious[:] = 0.0
@@ -294,7 +324,9 @@ def _summarize(
         scale_turns(group.information, model.radius, u.matrix)
         about_point(u.matrix, lever, group.information)
     add_registered(evidence, contacts, of_group, groups, pose, frame, DONE, squares, memory.equations)
-    total, chi2, rows = memory.walls, 0.0, 0.0
+    total = memory.walls
+    chi2 = 0.0
+    rows = 0.0
     total[:] = 0.0
     for i in range(len(contacts)):
         share = 3.0 if contacts[i].has_normal else 1.0
@@ -319,7 +351,8 @@ def _summarize(
             u.by_touch[r, c] = total[r, c] / excess + u.equations[r, c]
             answer.information[r, c] = u.wider[r, c] = u.by_touch[r, c] + u.prior[r, c]
     answer.chi2 = chi2 + u.equations[6, 6] + u.prior[6, 6] + u.walls[6, 6]
-    answer.rows, answer.gain = round(rows), 0.0
+    answer.rows = round(rows)
+    answer.gain = 0.0
     answer.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
     answer.prior_gain, answer.outside_gain = (
         group_gain(evidence, u.prior, u),
@@ -349,15 +382,22 @@ def register(
     `squares` (n, 3) are written: squared residuals, and the probabilities that the contact is right, and that its
     distance alone is.
     """
-    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(len(contacts), TERM)
+    term = local(PRIOR_TERM)
+    measured = local(MEASURED)
+    terms = np.empty(len(contacts), TERM)
     load_evidence(model[0], contacts, constraints[0], terms, term, measured)
     if not constraints[0].has_prior:
         term.kind = NO_PRIOR
     for i in range(len(terms)):
         terms[i].crowd = crowds[i]
-    hand, given, row = outside.copy(), constraints[0], answer[0]
+    hand = outside.copy()
+    given = constraints[0]
+    row = answer[0]
     evidence = Evidence(model[0], nodes, terms, hand, measured, given, term, vector(center))
-    pose, tried, done, memory = pose_of(row.pose), 0, False, local(UNCERTAINTY).equations
+    pose = pose_of(row.pose)
+    tried = 0
+    done = False
+    memory = local(UNCERTAINTY).equations
     frame = vector(center), model[0].radius
     for g in range(len(groups)):
         groups[g].softness = np.inf

@@ -39,7 +39,8 @@ WORST = 1e300
 @entry
 def draw(constraints: Any, draws: Any, descents: Any) -> None:
     """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
-    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    prior = constraints[0].prior
+    u = local(UNCERTAINTY)
     spread(prior, u)
     for k in range(len(descents)):
         store_pose(drawn(prior, draws[k], u), descents[k].pose)
@@ -65,9 +66,11 @@ def spin(model: Any, anchors: Any, descents: Any) -> None:
 
     `anchors` (A, 3, 3): a contact's point and normal, and a direction from which the angles of the spin are counted.
     """
-    samples, center = model[0].samples, vector(model[0].center)
+    samples = model[0].samples
+    center = vector(model[0].center)
     for a in range(len(anchors)):
-        point, palm = vector(anchors[a, 0]), _frame(vector(anchors[a, 1]), vector(anchors[a, 2]))
+        point = vector(anchors[a, 0])
+        palm = _frame(vector(anchors[a, 1]), vector(anchors[a, 2]))
         for k in range(descents.shape[1]):
             angle = 2 * np.pi * k / descents.shape[1]
             c, s = np.cos(angle), np.sin(angle)
@@ -142,8 +145,13 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
     then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction any place
     is a minimum, and the second of each is moved on to the most likely one by the weak prior.
     """
-    term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    nothing.kind, given, hand, measured = NO_PRIOR, constraints[0], outside.copy(), local(MEASURED)
+    term = local(PRIOR_TERM)
+    nothing = local(PRIOR_TERM)
+    terms = np.empty(contacts.shape[1], TERM)
+    nothing.kind = NO_PRIOR
+    given = constraints[0]
+    hand = outside.copy()
+    measured = local(MEASURED)
     chosen = np.empty(blocks.shape[1], np.int64)
     for rows in blocks:
         center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term, measured)

@@ -83,12 +83,14 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec
     """
     R, R_other = matrix(T), matrix(T_other)
     between = sub(vector(T_other[:3, 3]), vector(T[:3, 3]))
-    u, widest = scale(between, 1.0 / max(norm(between), 1e-12)), -np.inf
+    u = scale(between, 1.0 / max(norm(between), 1e-12))
+    widest = -np.inf
     direction = u
     for _ in range(TIP_TO_TIP.iterations):
         v = sub(add(between, _support(R_other, axes_other, scale(u, -1.0))), _support(R, axes, u))
         if dot(u, v) > widest:
-            widest, direction = dot(u, v), u
+            widest = dot(u, v)
+            direction = u
         length = norm(v)
         if not 0.0 < widest < TIP_TO_TIP.far or length < 1e-12:
             break
@@ -166,7 +168,8 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact:
     the motion of the contact's point and normal.
     """
     (R, p), C = transform_of(T_palm_surface), contact.covariance
-    point, n = apply((R, p), vector(contact.point)), mul(R, vector(contact.normal))
+    point = apply((R, p), vector(contact.point))
+    n = mul(R, vector(contact.normal))
     store(point, contact.point)
     store(n, contact.normal)
     for i in range(0, 6, 3):
@@ -197,7 +200,9 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact:
 @inner
 def _sigmas(finger: Any, load: Vec6) -> Vec6:
     """Returns the sigmas of a reading: its noise, and the error of each axis' gain in proportion to the load."""
-    s, f, t = finger.sigmas, scale(load[0], finger.sigma_gain), scale(load[1], finger.sigma_gain)
+    s = finger.sigmas
+    f = scale(load[0], finger.sigma_gain)
+    t = scale(load[1], finger.sigma_gain)
     return (
         (np.hypot(s[0], f[0]), np.hypot(s[1], f[1]), np.hypot(s[2], f[2])),
         (np.hypot(s[3], t[0]), np.hypot(s[4], t[1]), np.hypot(s[5], t[2])),
@@ -216,10 +221,13 @@ def contacts_to_palm(
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
-        T_palm_tip, finger = transform_of(Ts_palm_tip[i]), fingers[i]
+        T_palm_tip = transform_of(Ts_palm_tip[i])
+        finger = fingers[i]
         store33(matmul(T_palm_tip[0], matrix(finger.R_tip_surface)), Ts_palm_surface[i])
         store(apply(T_palm_tip, vector(finger.center_tip)), Ts_palm_surface[i, :, 3])
-    n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
+    n = len(fingers)
+    nearest = np.zeros((len(fingers), 4))
+    loads = np.zeros((len(fingers), 6))
     find_nearest_tips(fingers, Ts_palm_surface, nearest, contacts)
     gravity = vector(gravity_palm)
     for i in range(n):
@@ -231,7 +239,9 @@ def contacts_to_palm(
         store(sub(force, weight), loads[i, :3])
         store(sub(torque, cross(vector(finger.center_of_mass), weight)), loads[i, 3:])
     for i in range(n):
-        finger, contact, load = fingers[i], contacts[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
+        finger = fingers[i]
+        contact = contacts[i]
+        load = (vector(loads[i, :3]), vector(loads[i, 3:]))
         tip = unpack_fingertip(finger.tip)
         answer = uncertain_contact(load, tip, _sigmas(finger, load), contact.covariance)
         contact.reason = int(answer[0])
@@ -255,14 +265,19 @@ def put_patches(
     """Writes `patches` (k) PATCH of taxels to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k). `by_error` (n,
     6, j): as in `contacts_to_palm`. A contact that the tip's wrench gave keeps its load."""
     for k in range(len(numbers)):
-        patch, contact, i = patches[k], contacts[numbers[k]], numbers[k]
+        patch = patches[k]
+        contact = contacts[numbers[k]]
+        i = numbers[k]
         contact.point[:], contact.normal[:] = patch.point, patch.normal
         contact.covariance[:] = patch.covariance
         _to_palm(fingers[i], Ts_palm_tip[i], Ts_palm_tip[i], by_error[i], contact)
         if contact.reason != CONTACT:
-            force, n = mul(matrix(Ts_palm_tip[i]), vector(patch.force)), vector(contact.normal)
+            force = mul(matrix(Ts_palm_tip[i]), vector(patch.force))
+            n = vector(contact.normal)
             store(sub(force, scale(n, dot(force, n))), contact.load[:3])
-            contact.load[3], contact.load[4], contact.reason = dot(force, n), patch.torque, CONTACT
+            contact.load[3] = dot(force, n)
+            contact.load[4] = patch.torque
+            contact.reason = CONTACT
 
 
 @entry
@@ -298,7 +313,8 @@ def gather_contacts(
         contact = contacts[i]
         if contact.reason == 0:
             points[k], normals[k], covariance[k] = contact.point, contact.normal, contact.covariance
-            loads[k], moved[k] = contact.load, by_error[i]
+            loads[k] = contact.load
+            moved[k] = by_error[i]
             k += 1
 
 

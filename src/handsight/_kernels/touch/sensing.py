@@ -34,7 +34,11 @@ from handsight.checks import MAX_LOAD
 F = TypeVar("F", bound=Callable[..., Any])
 Vec6 = tuple[Vec3, Vec3]
 
-CONTACT, FREE, OFF_CAP, BEYOND_FRICTION, INVALID = 0.0, 1.0, 2.0, 3.0, 4.0
+CONTACT = 0.0
+FREE = 1.0
+OFF_CAP = 2.0
+BEYOND_FRICTION = 3.0
+INVALID = 4.0
 """The numbers of `handsight.contact.Reason`."""
 
 
@@ -50,8 +54,14 @@ def lane(function: F) -> F:
 
 vector, matrix, store = lane(vec3.vector), lane(vec3.matrix), lane(vec3.store)
 add, sub, neg = lane(vec3.add), lane(vec3.sub), lane(vec3.neg)
-scale, times, mul, tmul = lane(vec3.scale), lane(vec3.times), lane(vec3.mul), lane(vec3.tmul)
-dot, cross, norm, about_normal = lane(vec3.dot), lane(vec3.cross), lane(vec3.norm), lane(so3.about_normal)
+scale = lane(vec3.scale)
+times = lane(vec3.times)
+mul = lane(vec3.mul)
+tmul = lane(vec3.tmul)
+dot = lane(vec3.dot)
+cross = lane(vec3.cross)
+norm = lane(vec3.norm)
+about_normal = lane(so3.about_normal)
 
 
 class Fingertip(NamedTuple):
@@ -74,7 +84,8 @@ def unpack_fingertip(record: Any) -> Fingertip:
     axes = vector(record.semi_axes)
     W = 1.0 / axes[0], 1.0 / axes[1], 1.0 / axes[2]
     product = W[0] * W[1] * W[2]
-    by_moment, R = (product / W[0], product / W[1], product / W[2]), matrix(record.R_surface_sensor)
+    by_moment = (product / W[0], product / W[1], product / W[2])
+    R = matrix(record.R_surface_sensor)
     friction2, force2 = record.max_friction * record.max_friction, record.min_force * record.min_force
     origin = vector(record.origin_surface)
     return Fingertip(axes, W, by_moment, 1.0 / product, record.cap, friction2, force2, R, origin)
@@ -130,7 +141,8 @@ def contact_loads(
     outward = times(q, tip.W)
     steepness = norm(outward)
     inverse = 1.0 / steepness
-    normal, push = scale(outward, -inverse), -c * inverse
+    normal = scale(outward, -inverse)
+    push = -c * inverse
     tangential = sub(force, scale(normal, push))
     beyond = dot(tangential, tangential) > tip.friction_squared * (push * push)
     reason = BEYOND_FRICTION if beyond else CONTACT
@@ -184,14 +196,16 @@ def covariance_factor(contact: Vec3, push: float, twist: float, tip: Fingertip, 
     outward = times(q, tip.W)
     steepness = norm(outward)
     normal = scale(outward, -1.0 / steepness)
-    c, kappa = -push * steepness, -twist / (tip.volume * steepness)
+    c = -push * steepness
+    kappa = -twist / (tip.volume * steepness)
     inverse = 1.0 / (c * c + kappa * kappa)
     c, kappa = c * inverse, kappa * inverse
     _, t, u = about_normal(q)
     v = sub(scale(t, kappa), scale(u, c))
     w = add(scale(u, kappa), scale(t, c))
     # The triangular factor (a, b; 0, d) of the rows' products, by Gram and Schmidt, so that nothing is squared twice.
-    row, other = _tangent_noise(v, w, tip, sigmas), _tangent_noise(w, neg(v), tip, sigmas)
+    row = _tangent_noise(v, w, tip, sigmas)
+    other = _tangent_noise(w, neg(v), tip, sigmas)
     a = np.sqrt(_dot6(row, row))
     inverse = 1.0 / a if a > 0.0 else 0.0
     b = _dot6(row, other) * inverse
@@ -266,7 +280,9 @@ def _solve(w: Any, tip: Fingertip) -> None:
         c, kappa = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
         _set3(w, AT.q, j, point_on_sphere(_get3(w, AT.force, j), _get3(w, AT.moment, j), c, kappa, tip))
     for j in range(LANES):
-        q, c, kappa = _get3(w, AT.q, j), w[AT.c * LANES + j], w[AT.kappa * LANES + j]
+        q = _get3(w, AT.q, j)
+        c = w[AT.c * LANES + j]
+        kappa = w[AT.kappa * LANES + j]
         normal, push, twist, contact_reason = contact_loads(q, _get3(w, AT.force, j), c, kappa, tip)
         reason = w[AT.reason * LANES + j]
         w[AT.reason * LANES + j] = reason if reason > CONTACT else contact_reason
@@ -282,9 +298,11 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
     `forces` [N] and `torques` [N m] (n, 3); `tip` (1,) FINGERTIP. Written are the `reasons` (n) int8 of all wrenches,
     and in the first k entries of `rows` (n) int64 and `contacts` (n) TIP_CONTACT each contact's wrench and the contact.
     """
-    fingertip, w = unpack_fingertip(tip[0]), np.zeros(AT.total * LANES)
+    fingertip = unpack_fingertip(tip[0])
+    w = np.zeros(AT.total * LANES)
     forces, torques = forces.reshape(-1), torques.reshape(-1)
-    n, k = len(reasons), 0
+    n = len(reasons)
+    k = 0
     for start in range(0, n, LANES):
         count = min(LANES, n - start)
         if count == LANES:
@@ -315,8 +333,11 @@ def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
     """Writes the covariances `out` (k, 6, 6) of point [m] and normal of contacts (k,) TIP_CONTACT. `tip` (1,)
     FINGERTIP; `sigmas` (6): standard deviations of a reading [N, N m]."""
     # Columns of a block: two factors of six, then point, normal force and local torque.
-    fingertip, noise, out = unpack_fingertip(tip[0]), _pair(sigmas), out.reshape(-1)
-    n, w = len(contacts), np.ones(17 * LANES)
+    fingertip = unpack_fingertip(tip[0])
+    noise = _pair(sigmas)
+    out = out.reshape(-1)
+    n = len(contacts)
+    w = np.ones(17 * LANES)
     for start in range(0, n, LANES):
         count = min(LANES, n - start)
         for j in range(count):
@@ -330,9 +351,11 @@ def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
                 w[i * LANES + j], w[(6 + i) * LANES + j] = first[i], second[i]
         for j in range(count):
             for row in range(6):
-                a, b = w[row * LANES + j], w[(6 + row) * LANES + j]
+                a = w[row * LANES + j]
+                b = w[(6 + row) * LANES + j]
                 for i in range(6):
-                    c, d = w[i * LANES + j], w[(6 + i) * LANES + j]
+                    c = w[i * LANES + j]
+                    d = w[(6 + i) * LANES + j]
                     out[36 * (start + j) + 6 * row + i] = sum_of_products(a, c, b, d)
 
 

@@ -33,9 +33,12 @@ def _upper(one: Any, ratios: Any) -> float:
 @inner
 def _read(one: Any, load: Any, noise: float, mu: float, stamp: float, is_new: bool) -> None:
     """Adds a reading with a normal force to a sensor's last ones; `noise` is that of the ratio."""
-    tangential, normal = _length(load[0], load[1], load[2], load[4] / FRICTION.torsion), load[3]
+    tangential = _length(load[0], load[1], load[2], load[4] / FRICTION.torsion)
+    normal = load[3]
     # A running mean with weight w for the last reading has a variance smaller by w / (2 - w).
-    wanted, old, kept = (SLIP.ratio_sigma * mu) ** 2, 0, 0
+    wanted = (SLIP.ratio_sigma * mu) ** 2
+    old = 0
+    kept = 0
     weight = min(2 * wanted / (noise**2 + wanted), 1.0)
     if not is_new:
         tangential = one.tangential + weight * (tangential - one.tangential)
@@ -46,8 +49,12 @@ def _read(one: Any, load: Any, noise: float, mu: float, stamp: float, is_new: bo
         kept = one.count - old
         for k in range(kept):
             one.last[k] = one.last[k + old]
-    one.tangential, one.normal, one.count = tangential, normal, kept + 1
-    one.last[kept, 0], one.last[kept, 1], one.last[kept, 2] = tangential / normal, stamp, load[3]
+    one.tangential = tangential
+    one.normal = normal
+    one.count = kept + 1
+    one.last[kept, 0] = tangential / normal
+    one.last[kept, 1] = stamp
+    one.last[kept, 2] = load[3]
 
 
 @inner
@@ -76,7 +83,11 @@ def _turned(one: Any, relative: float, rise: float, straight: bool, read: Any) -
     counts = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
     if counts and most - least <= FRICTION.max_radial * away:
         read.turned = math.sqrt(least * most)
-    anchor[0], anchor[1], anchor[2], anchor[3], anchor[4] = x, y, z, w, one.mean[3]
+    anchor[0] = x
+    anchor[1] = y
+    anchor[2] = z
+    anchor[3] = w
+    anchor[4] = one.mean[3]
     return True
 
 
@@ -99,17 +110,27 @@ def follow_loads(
     [s]; `mu`: the coefficient of friction, 1 where it is unknown; `straight`: whether a constant ratio under a changing
     force shows friction. Writes `memory` (m) LOAD_MEMORY and `read` (n) LOAD_READ.
     """
-    goes_on, news, gain, m = since <= SLIP.max_gap, False, 0.0, len(memory)
+    goes_on = since <= SLIP.max_gap
+    news = False
+    gain = 0.0
+    m = len(memory)
     follow, slowly = 1 - math.exp(-since / SLIP.time_constant), 1 - math.exp(-since / SLIP.rest)
     rise = 1 - math.exp(-min(since if goes_on else 0.0, FRICTION.keep_up) / FRICTION.keep_up)
-    loaded, ratios = np.zeros(m, dtype=np.bool_), np.empty(MOST_READINGS)
+    loaded = np.zeros(m, dtype=np.bool_)
+    ratios = np.empty(MOST_READINGS)
     for i in range(len(loads)):
-        limit, one, load, out = limits[numbers[i]], memory[numbers[i] % m], loads[i], read[i]
+        limit = limits[numbers[i]]
+        one = memory[numbers[i] % m]
+        load = loads[i]
+        out = read[i]
         out.measured = abs(load[0] + load[1] + load[2] + load[3] + load[4]) < np.inf
-        out.ratio, out.highest, out.turned = np.nan, np.nan, 0.0
+        out.ratio = np.nan
+        out.highest = np.nan
+        out.turned = 0.0
         if not (out.measured and load[3] > 0):
             continue
-        loaded[numbers[i] % m], gain = True, max(gain, limit.gain)
+        loaded[numbers[i] % m] = True
+        gain = max(gain, limit.gain)
         is_new = not goes_on or math.isnan(one.mean[0])
         for k in range(5):
             one.mean[k] = load[k] if is_new else one.mean[k] + follow * (load[k] - one.mean[k])
@@ -124,7 +145,9 @@ def follow_loads(
             out.ratio = _upper(one, ratios) * (1 + SLIP.gain_sigmas * limit.gain) / limit.relative
             noise = min(limit.noise / load[3], SLIP.ratio_sigma * mu)
             out.highest = out.ratio + noise / limit.relative
-    first, second, count = 0.0, 0.0, 0
+    first = 0.0
+    second = 0.0
+    count = 0
     for k in range(m):
         if not loaded[k]:
             memory[k].mean[:] = np.nan

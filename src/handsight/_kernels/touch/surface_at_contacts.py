@@ -21,9 +21,13 @@ def information_by_contact(
     of `contacts` (n,) and field together. Written are `information` (n, 6, 6) = Aᵀ S⁻¹ A and `gradient` (n, 6) = Aᵀ S⁻¹
     r. `descent` (1,) DESCENT has the pose.
     """
-    terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
+    terms = np.empty(len(contacts), TERM)
+    pose = pose_of(descent[0].pose)
+    field = model[0].fine
     load_terms(contacts, terms)
-    A, r, weighted = np.zeros((4, 6)), np.empty(4), np.empty(4)
+    A = np.zeros((4, 6))
+    r = np.empty(4)
+    weighted = np.empty(4)
     for k in range(len(contacts)):
         term = terms[k]
         surface = surface_at(nodes, field, vector(term.contact.point), pose)

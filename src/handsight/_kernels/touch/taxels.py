@@ -62,9 +62,14 @@ def sense_taxels(
     `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n + 1, c) gets the scaled readings over the
     baseline, 0 in its last row, `states` (2, n + 1) what each taxel says and the number of its patch, or -1.
     """
-    record, n, last = surface[0], len(taxels), readings.shape[1] - 1
-    state, touched, isolated = states[0], np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
-    state[n], rise[n] = UNKNOWN, 0.0
+    record = surface[0]
+    n = len(taxels)
+    last = readings.shape[1] - 1
+    state = states[0]
+    touched = np.zeros(n + 1, dtype=np.bool_)
+    isolated = np.zeros(n + 1, dtype=np.bool_)
+    state[n] = UNKNOWN
+    rise[n] = 0.0
     for i in range(n):
         for k in range(last + 1):
             value = record.scale[k] * (readings[i, k] - record.offset[k])
@@ -73,14 +78,16 @@ def sense_taxels(
                 rise[i, k] = record.full_scale
         state[i] = FAR
         if not math.isfinite(rise[i].sum()):
-            state[i], rise[i] = UNKNOWN, 0.0
+            state[i] = UNKNOWN
+            rise[i] = 0.0
         touched[i] = rise[i, last] >= record.threshold
     for i in range(n):
         isolated[i] = touched[i] and not _sum(touched, taxels[i].wide)
     if touched.sum() > isolated.sum():  # while others are touched together, an isolated one is stuck
         for i in range(n):
             if isolated[i]:
-                touched[i], state[i] = False, UNKNOWN
+                touched[i] = False
+                state[i] = UNKNOWN
     if not touched.any():
         states[1] = -1
         for i in range(n):
@@ -98,9 +105,11 @@ def sense_taxels(
             for axis in range(2):
                 ends = 0
                 for side in (2 * axis, 2 * axis + 1):
-                    j, steps = taxels[i].beside[side], 0
+                    j = taxels[i].beside[side]
+                    steps = 0
                     while j < n and not touched[j] and steps < n:
-                        j, steps = taxels[j].beside[side], steps + 1
+                        j = taxels[j].beside[side]
+                        steps = steps + 1
                     ends += touched[j]
                 state[i] = LOW if ends == 2 else state[i]
             beside = record.flat or (_sum(touched, taxels[i].wide) > 0 and not _sum(touched, near))
@@ -121,8 +130,14 @@ def _sum(values: Any, numbers: Any) -> float:
 def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any, patches: Any) -> int:
     """Returns the number of patches: connected touched taxels, dead ones between them, and all around them. What reads
     less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do."""
-    n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
-    filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state > LOW
+    n = len(taxels)
+    count = 0
+    last = rise.shape[1] - 1
+    state = states[0]
+    label = states[1]
+    filled = np.zeros(n + 1, dtype=np.bool_)
+    members = np.empty(n, dtype=np.int64)
+    known = state > LOW
     for i in range(n):
         near, wide = taxels[i].near, taxels[i].wide
         if not known[i] and _sum(touched, near) >= max(2.0, 0.5 * _sum(known, near)):
@@ -137,16 +152,24 @@ def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any
     for i in range(n):
         if not touched[i] or label[i] >= 0 or count == len(patches):
             continue
-        members[0], size, done, label[i] = i, 1, 0, count
+        members[0] = i
+        size = 1
+        done = 0
+        label[i] = count
         while done < size:
-            at, done = members[done], done + 1
+            at = members[done]
+            done = done + 1
             for j in taxels[at].near:
                 if j < n and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
-                    label[j], members[size], size = count, j, size + 1
+                    label[j] = count
+                    members[size] = j
+                    size = size + 1
         for at in members[:done]:
             for j in taxels[at].near:
                 if label[j] < 0 and known[j]:
-                    label[j], members[size], size = count, j, size + 1
+                    label[j] = count
+                    members[size] = j
+                    size = size + 1
         _measure(record, taxels, members[:size], rise, filled, touched, patches[count])
         label[members[done:size]] = -1
         count += 1
@@ -168,11 +191,15 @@ def _measure(
     Of indentations, the contact may be anywhere in the patch, with the normal there: its covariance is the patch's
     second moment.
     """
-    m, last, cell = len(members), rise.shape[1] - 1, record.pitch
-    share, zero = np.empty(m), (0.0, 0.0, 0.0)
+    m = len(members)
+    last = rise.shape[1] - 1
+    cell = record.pitch
+    share = np.empty(m)
+    zero = (0.0, 0.0, 0.0)
     for k in range(m):
         share[k] = max(rise[members[k], last], 0.0)
-    patch.total, patch.flat = share.sum(), True
+    patch.total = share.sum()
+    patch.flat = True
     deepest = share.max()
     if record.indentation:
         for k in range(m):
@@ -185,16 +212,21 @@ def _measure(
         for k in range(m):
             share[k] = max(-dot(_force(taxels[members[k]].axes, rise[members[k]]), mean), 0.0)
     share /= max(share.sum(), 1e-12)
-    point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
+    point = zero
+    normal = zero
+    edge = zero
+    bend = np.zeros((3, 3))
     for k in range(m):
-        taxel, w = taxels[members[k]], share[k]
+        taxel = taxels[members[k]]
+        w = share[k]
         point = add(point, scale(vector(taxel.point), w))
         normal = add(normal, scale(vector(taxel.axes[:, 2]), w))
         edge = add(edge, scale(vector(taxel.edge), w))
         for a in range(9):
             bend[a // 3, a % 3] += w * taxel.bend[a // 3, a % 3]
     normal = scale(normal, 1.0 / max(norm(normal), 1e-12))
-    raised, spread = 0.0, 0.0
+    raised = 0.0
+    spread = 0.0
     for k in range(m):
         own = vector(taxels[members[k]].axes[:, 2])
         along, sideways = dot(own, normal), _across(own, normal)
@@ -205,7 +237,8 @@ def _measure(
     point = add(point, scale(normal, raised))
     # Of a contact across the layout's edge only the near part is felt. With all of that on taxels at the edge, whose
     # neighbours are on one half, 2 / pi on average, the contact's middle is half its width farther.
-    near_part, edge = point, _across(edge, normal)
+    near_part = point
+    edge = _across(edge, normal)
     shift = scale(edge, -TAXELS.half_width * (math.pi / 2) ** 2 * norm(edge))
     turn = mul(matrix(bend), shift)
     sag = 0.5 * dot(turn, shift)
@@ -214,10 +247,17 @@ def _measure(
     normal = scale(normal, 1.0 / norm(normal))
 
     # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
-    rows, force, moment, second, measured = np.zeros((m + 14, 6)), zero, zero, np.zeros((3, 3)), last == 2
+    rows = np.zeros((m + 14, 6))
+    force = zero
+    moment = zero
+    second = np.zeros((3, 3))
+    measured = last == 2
     for k in range(m):
-        i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
-        arm, own = sub(vector(taxels[i].point), near_part), vector(axes[:, 2])
+        i = members[k]
+        w = share[k] * patch.total
+        axes = taxels[members[k]].axes
+        arm = sub(vector(taxels[i].point), near_part)
+        own = vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
         if record.indentation:
@@ -228,7 +268,8 @@ def _measure(
             second[a // 3, a % 3] += share[k] * arm[a // 3] * arm[a % 3]
         if last == 2:
             pushed = _force(axes, rise[i])
-            force, moment = add(force, pushed), add(moment, cross(arm, pushed))
+            force = add(force, pushed)
+            moment = add(moment, cross(arm, pushed))
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
@@ -285,13 +326,18 @@ def watch_taxels(
     touches something. The surface is at rest where, besides, no two taxels of a patch are touched, nor all. The
     baseline is NaN for taxels that are left out, 0 before there are enough readings.
     """
-    record, n, last, moving = surface[0], readings.shape[0], readings.shape[1] - 1, 0
+    record = surface[0]
+    n = readings.shape[0]
+    last = readings.shape[1] - 1
+    moving = 0
     touched = (states[1, :n] >= 0) & (rise[:n, last] >= record.threshold)
     few = touched.sum() <= 1 + states[1].max() and touched.sum() < n
     rest = rest and (count < TAXELS.min_rest or few)
-    count, varied = count + rest, 0
+    count = count + rest
+    varied = 0
     for i in range(n):
-        w, changed = watched[i], False
+        w = watched[i]
+        changed = False
         for k in range(last + 1):
             value = record.scale[k] * (readings[i, k] - record.offset[k])
             changed = changed or (value != w.last[k] and not math.isnan(w.last[k]))

@@ -153,7 +153,8 @@ def _exact_group(turns: list[Array], near: float) -> Array:
     return exact
 
 
-INFO, FACTS = "models_info.json", "handsight.json"
+INFO = "models_info.json"
+FACTS = "handsight.json"
 LARGEST_DOCUMENT = 20_000_000  # the largest number of bytes of a document: about ten thousand objects
 MAX_NUMBER = 999_999_999  # the largest number of an object
 VERSION = 1  # version of the format of `handsight.json`

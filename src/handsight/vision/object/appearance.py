@@ -16,7 +16,8 @@ from handsight.objects import ObjectModel, cache
 from handsight.objects.surface import Cloud, Surface
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, poses_of
 
-SAMPLES, FEW = 2400, 600
+SAMPLES = 2400
+FEW = 600
 """Surface points by which a pose is scored, and by which many are compared; the model's own 256 vote."""
 DIRECTIONS = 800  # directions from which it is computed which of them are visible
 
@@ -27,7 +28,9 @@ TURNS_WITHIN = 0.03  # of the surface, where a point counts as on it [diameters]
 TURNS_LEAST = 0.75  # share of the points
 TURNS_SPACING = 0.08  # between two of them [diameters]
 TURNS_MOST = 48
-PIXELS, AWAY, BEHIND = 200, 5, 0.02
+PIXELS = 200
+AWAY = 5
+BEHIND = 0.02
 """The object is drawn by so many pixels a diameter and from so many diameters; points that are so little behind what is
 drawn are visible [diameters]."""
 
@@ -68,7 +71,8 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 def _computed(model: ObjectModel) -> Appearance:
     """Returns the appearance of an object; pairs and visible points are kept on disk beside its fields."""
-    voters, samples = np.stack([model.points_object, model.normals_object]), np.stack(model.sample(SAMPLES))
+    voters = np.stack([model.points_object, model.normals_object])
+    samples = np.stack(model.sample(SAMPLES))
     samples = np.concatenate([samples[:, k :: SAMPLES // FEW] for k in range(SAMPLES // FEW)], axis=1)
     area = model.area / SAMPLES
     if not model.closed:  # a sheet has two sides
@@ -102,7 +106,8 @@ def _computed(model: ObjectModel) -> Appearance:
 def pair_table(voters: Array, diameter: float) -> NDArray[np.int32]:
     """Returns where the pairs of each cell begin, and then the pairs, of points and normals (2, n, 3)."""
     count = voters.shape[1]
-    cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
+    cells = np.empty((count, count), dtype=np.int64)
+    spins = np.empty((count, count))
     votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
     cell, spin = cells.reshape(-1), spins.reshape(-1)
     order = np.argsort(cell, kind="stable")
@@ -127,10 +132,14 @@ def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
 def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
     """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits. The object is
     drawn from a few diameters off, which is as far as cameras are."""
-    center, away, (vertices, faces) = model.center_object, AWAY * model.diameter, drawn_surface(model.surface)
-    focal, middle = PIXELS * AWAY, 0.6 * PIXELS
+    center = model.center_object
+    away = AWAY * model.diameter
+    vertices, faces = drawn_surface(model.surface)
+    focal = PIXELS * AWAY
+    middle = 0.6 * PIXELS
     matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
-    camera, visible = Camera(matrix, (int(2 * middle), int(2 * middle))), []
+    camera = Camera(matrix, (int(2 * middle), int(2 * middle)))
+    visible = []
     for way in directions:
         x = se3.perpendicular(way)
         R = np.stack([x, np.cross(-way, x), -way])
@@ -152,7 +161,8 @@ def near_symmetries(model: ObjectModel) -> Array:
     those motions that are found.
     """
     points, normals = model.sample(TURNS_POINTS)
-    rows, rng = np.zeros(len(points), dtype=DEPTH_POINT), np.random.default_rng(0)
+    rows = np.zeros(len(points), dtype=DEPTH_POINT)
+    rng = np.random.default_rng(0)
     rows["point"], rows["normal"] = points, normals
     stages = np.array(
         [(0, 4 * TURNS_WITHIN, 2 * TURNS_WITHIN, 6, 1), (1, 2 * TURNS_WITHIN, TURNS_WITHIN, 6, 1)],
@@ -169,7 +179,8 @@ def near_symmetries(model: ObjectModel) -> Array:
         same = np.abs(distance).reshape(len(Ts), -1) < TURNS_WITHIN * model.diameter
         return np.asarray((same & (np.abs((g * normals).sum(2)) > 0.5 * np.linalg.norm(g, axis=2))).mean(1))
 
-    found, share = np.eye(4)[None], np.full(1, 2.0)
+    found = np.eye(4)[None]
+    share = np.full(1, 2.0)
     starts = about_center(se3.random(rng, TURNS_STARTS)[:, :3, :3])
     for _ in range(2):
         laid = candidates_at(starts)
@@ -177,7 +188,8 @@ def near_symmetries(model: ObjectModel) -> Array:
         depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, laid)
         Ts = poses_of(laid)
         likely = shares(Ts) > TURNS_LEAST * shares(np.eye(4)[None])
-        found, share = np.concatenate([found, Ts[likely]]), np.append(share, shares(Ts[likely]))
+        found = np.concatenate([found, Ts[likely]])
+        share = np.append(share, shares(Ts[likely]))
         starts = np.matmul(*found[rng.integers(len(found), size=(2, TURNS_STARTS // 2))])
     # A shift alone is none: the search tries those by itself.
     turned = candidates_at(about_center(found[:, :3, :3]))

@@ -123,12 +123,15 @@ class DepthTracker:
         self._T_object_center = se3.compose(np.eye(3), model.center_object)
         self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
-        self._searched, self._absent = -np.inf, "not found"
+        self._searched = -np.inf
+        self._absent = "not found"
 
     def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
         """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
         other = copy(self)
-        other._start, other._belief, other._searched = se3.rounded(T_camera_object, "start"), None, stamp
+        other._start = se3.rounded(T_camera_object, "start")
+        other._belief = None
+        other._searched = stamp
         return other
 
     def update(
@@ -169,7 +172,9 @@ class DepthTracker:
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
         """Returns where the object is near its expected pose, else anywhere in the image, and makes that the belief."""
-        predicted, refined, reason = self._predicted(image, hint), None, ""
+        predicted = self._predicted(image, hint)
+        refined = None
+        reason = ""
         if predicted is not None:
             refined = self._refined(image, predicted)
             predicted = self._weighed(predicted, refined)
@@ -199,7 +204,9 @@ class DepthTracker:
             hint = self._start if hint is None else hint
             return None if hint is None else self._unknown(image, hint, lost=False)
         dt = max(image.stamp - last.stamp, 0.0)
-        pose, drift, odds = last.pose_camera_object, TRACK_DRIFT, last.odds
+        pose = last.pose_camera_object
+        drift = TRACK_DRIFT
+        odds = last.odds
         covariance, independent, shared = pose.covariance, last.independent, last.shared
         velocity = VELOCITY_SHARE * last.velocity * (dt <= MAX_GAP)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
@@ -212,7 +219,8 @@ class DepthTracker:
             shared = turn @ shared
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
-            T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
+            T = T_camera_center @ se3.inverse(self._T_object_center)
+            at_rest = pose.T_a_b
         # An object that is not observed may go on with one velocity: after a time t it is off by t sigma.
         grown = dt * (dt + 2 * max(last.stamp - last.observed, 0.0))
         much = self._covariance_of_origin(T, np.repeat(grown * np.square(drift), 3))
@@ -220,7 +228,8 @@ class DepthTracker:
         changed = np.zeros((6, 6)) if last.lost else much - little
         if hint is not None:
             T = at_rest = hint
-            changed, odds = np.zeros((6, 6)), 0.0
+            changed = np.zeros((6, 6))
+            odds = 0.0
         return replace(
             last,
             stamp=image.stamp,
@@ -259,10 +268,12 @@ class DepthTracker:
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
         if predicted.odds < 0:
-            share, rms = support_share(refined.candidate), refined.candidate["rms"][0]
+            share = support_share(refined.candidate)
+            rms = refined.candidate["rms"][0]
             far = f", {1000 * rms:.1f} mm off" if share > MIN_FIT else ""
             return f"it explains {100 * share:.0f} % of what is seen there{far}"
-        limit, pose = TRACK_LOST * self.model.diameter, predicted.pose_camera_object
+        limit = TRACK_LOST * self.model.diameter
+        pose = predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
         return HIDDEN if hidden else ""
 
@@ -297,7 +308,9 @@ class DepthTracker:
         """Returns the belief after an image that shows enough of the object."""
         last, velocity = self._belief, predicted.velocity
         pose, measured = predicted.pose_camera_object, refined.pose_camera_object
-        off, P, R = se3.difference(measured.T_a_b, pose.T_a_b), predicted.independent, measured.covariance
+        off = se3.difference(measured.T_a_b, pose.T_a_b)
+        P = predicted.independent
+        R = measured.covariance
         own = pose.covariance - predicted.shared @ predicted.shared.T
         if off @ np.linalg.solve(P - predicted.changed + R, off) < TRACK_UNCHANGED:
             P, own = P - predicted.changed, own - predicted.changed

@@ -87,7 +87,9 @@ class ObjectDetection:
     @classmethod
     def nowhere(cls, reason: str, probability: float = 0.0) -> Self:
         """Returns a detection without poses, with the probability of the likeliest that was rejected."""
-        none, T, covariance = np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, 6, 6))
+        none = np.zeros(0)
+        T = np.zeros((0, 4, 4))
+        covariance = np.zeros((0, 6, 6))
         return cls(T, covariance, none, np.zeros(0, dtype=CANDIDATE), probability, reason)
 
 
@@ -108,13 +110,16 @@ def first_pose(
     that the image supports best go on. In the end the log odds rank the places that they have, and say how probable the
     first of these is; at each place the scores rank the poses.
     """
-    appearance, D, camera = appearance_of(model), model.diameter, scene.camera
+    appearance = appearance_of(model)
+    D = model.diameter
+    camera = scene.camera
     image = camera.rays, scene.depth, scene.labels
     observed = observed_points(scene, FIRST_SPACING * D, MAX_POINTS)
     # The points that vote are spread over the segments by the roots of their sizes: a big one must not take all.
     has = (observed["normal"] != 0).any(axis=1)
     counts = np.bincount(observed["part"][has], minlength=len(scene.sizes))
-    share, chosen = np.sqrt(counts), [np.empty(0, dtype=np.int64)]
+    share = np.sqrt(counts)
+    chosen = [np.empty(0, dtype=np.int64)]
     for part in np.flatnonzero(counts >= MIN_PIXELS):
         number = max(MIN_REFERENCES, round(FIRST_REFERENCES * share[part] / share.sum()))
         chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
@@ -126,8 +131,10 @@ def first_pose(
 
     def refine(candidates: Candidates, stage: int, effort: int) -> None:
         """Moves candidates as one stage does, with as many points and pixels as another one takes."""
-        candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
-        points, record = observed[: round(POINTS[effort] * len(observed))], model.record[:2]
+        candidates["bound"] = explained_within(noise, center_depths(model, candidates))
+        now = STAGES[stage]
+        points = observed[: round(POINTS[effort] * len(observed))]
+        record = model.record[:2]
         depth_term.refine_poses(*record, points, np.atleast_1d(now), D, NOTHING_KNOWN, candidates)
         score_candidates(model, scene, candidates, effort=effort)
 
@@ -154,7 +161,8 @@ def first_pose(
     outline.cross_outlines(camera.record, model.record[:2], image, found)
     found = found[np.argsort(-log_odds(found), kind="stable")]
     covariances = pose_covariances(model, camera, observed, found, noise)
-    places, support = places_of(model, found), mode_support(found, scene.sizes.sum() / max(len(observed), 1))
+    places = places_of(model, found)
+    support = mode_support(found, scene.sizes.sum() / max(len(observed), 1))
     best, most = np.full((2, places.max(initial=-1) + 1), -np.inf)
     np.maximum.at(best, places, log_odds(found) + prior)
     np.maximum.at(most, places, support)
@@ -174,7 +182,8 @@ def slid(
 ) -> Candidates:
     """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
     Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained."""
-    T, center = poses_of(candidate)[0], model.center_object
+    T = poses_of(candidate)[0]
+    center = model.center_object
     covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
     units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
     covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
@@ -191,7 +200,9 @@ def slid(
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
     """Fills in the score of CANDIDATE (k,) with a bound, and the pixels that it is made of, with a stage's effort."""
-    appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
+    appearance = appearance_of(model)
+    camera = scene.camera
+    image = (scene.depth, scene.labels)
     sides = appearance.sides if BESIDE[effort] == BESIDE[-1] else appearance.few_sides
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates, pose_score.NOT_ASKED)
     around = camera.rays, *image

@@ -69,7 +69,8 @@ def locate(
     noise: of the depth. Raises InvalidInput for images of another size than the camera's, for depth that is not in
     metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
-    wanted, extent = search_mask(camera, box, mask), MAX_PLANE * model.diameter
+    wanted = search_mask(camera, box, mask)
+    extent = MAX_PLANE * model.diameter
     prior = region_log_odds(model, camera, depth, wanted) if score is None else score_log_odds(score)
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
@@ -192,7 +193,8 @@ def recognise(
     if not models:
         raise InvalidInput("models: expected at least one, got none")
     largest = max(model.diameter for model in models.values())
-    wanted, extent = search_mask(camera, box, mask), MAX_PLANE * largest
+    wanted = search_mask(camera, box, mask)
+    extent = MAX_PLANE * largest
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     found = found or {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
     # Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds
@@ -202,11 +204,14 @@ def recognise(
     step = max(1, round(np.sqrt(wanted.sum() / LOCATE_COMPARED)))
     inside = wanted[::step, ::step]
     points = scene.camera.points(scene.depth)[::step, ::step][inside].astype(np.float64)
-    pixels, explained = dict[str, Array](), np.zeros(len(points))
+    pixels = dict[str, Array]()
+    explained = np.zeros(len(points))
     for name in detected:
-        modes, bound = found[name].candidates, found[name].candidates["bound"][:, None]
+        modes = found[name].candidates
+        bound = found[name].candidates["bound"][:, None]
         each = np.maximum(1 - (surface_distances(models[name], points, bound.max(), modes) / bound) ** 2, 0)
-        pixels[name], explained = step**2 * each.sum(axis=1), np.maximum(explained, each.max(axis=0))
+        pixels[name] = step**2 * each.sum(axis=1)
+        explained = np.maximum(explained, each.max(axis=0))
     size = LOCATE_SUPPORT[0] + LOCATE_SUPPORT[1] * step**2 * explained.sum()
     support = logit([found[name].probability for name in detected])
     support += [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
@@ -301,7 +306,8 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
 def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
     """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
     Both, because a neighbour's points may draw a pose away from where it was right."""
-    refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
+    refiner = PoseRefiner(model, scene.camera, noise)
+    Ts = list[Array]()
     for pose in given:
         known = NOTHING_KNOWN
         if np.isfinite(pose.covariance).all():

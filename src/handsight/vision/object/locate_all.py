@@ -77,7 +77,9 @@ def locate_all(
     given = dict(found or {})
     names = sorted(models)  # so that the order in which models are given changes nothing
     places = [(name, one) for name in names for one in given.get(name, ())]
-    instances, best, taken = list[ObjectInstance](), dict.fromkeys(names, 0.0), Counter[str]()
+    instances = list[ObjectInstance]()
+    best = dict.fromkeys(names, 0.0)
+    taken = Counter[str]()
     more = True
     while more:
         for name in names:
@@ -87,7 +89,8 @@ def locate_all(
             ObjectInstance(name, one, explained(models[name], scene, one))
             for name, one in sorted(places, key=lambda place: -place[1].probability)
         ]
-        more, places = False, []
+        more = False
+        places = []
         for each in candidates:
             best[each.name] = max(best[each.name], each.detection.probability)
             free = each.pixels & (scene.labels >= 0)

@@ -100,7 +100,8 @@ class PoseRefiner:
         candidates["bound"] = explained_within(self.noise, z)
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
-        sides, center = appearance_of(self.model).sides, self.model.center_object
+        sides = appearance_of(self.model).sides
+        center = self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
         # A little more support is noise, or the model's error: what does not move must not creep.
         gain = 1 + REFINER_CREEP * np.arange(len(candidates))
@@ -113,7 +114,8 @@ class PoseRefiner:
         """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""
         window = self._window[0]
         last = slice(*window["rows"]), slice(*window["columns"])
-        self._depth[last], self._labels[last] = 0, OUT
+        self._depth[last] = 0
+        self._labels[last] = OUT
         points = se3.apply(T, self.model.points_object)
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.camera.record, points, pixels)
