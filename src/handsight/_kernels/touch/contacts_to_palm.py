@@ -1,6 +1,6 @@
 """From the raw wrenches of a hand's fingertips to contacts in the palm, with their covariances.
 
-Fingertips may touch each other: their distance shifts a contact's mean, and adds to its covariance.
+Fingertips may touch each other: the less their distance, the more it adds to a contact's covariance.
 """
 
 import math
@@ -33,11 +33,9 @@ from handsight._kernels.math.vec3 import (
 )
 from handsight._kernels.touch.sensing import (
     CONTACT,
-    Fingertip,
     Vec6,
     uncertain_contact,
     unpack_fingertip,
-    wrench_to_contact,
 )
 
 
@@ -54,11 +52,6 @@ class TipToTip(NamedTuple):
     variance_point: float = 0.002**2
     """Added variance of a contact's point where two contacts are taken for one [m²]."""
     variance_normal: float = math.radians(12.0) ** 2  # the same of its normal [rad²]
-    mean_load: float = 0.4
-    """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from 0 to twice that.
-    Simulated tips press each other less than the object."""
-    max_trials: int = 4
-    """A load of the other tip that leaves no contact to explain the rest is halved, until so many were tried."""
     iterations: int = 12
     """Steps to the direction that separates two tips best; the gap is then too small by 0.1-1 mm."""
 
@@ -74,9 +67,8 @@ def _support(R: Mat33, axes: Vec3, u: Vec3) -> Vec3:
 
 
 @inner
-def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec3]:
-    """Returns the distance of two ellipsoids, below zero where they overlap, and the direction from the first to the
-    second; of those that are `far` a lower bound.
+def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> float:
+    """Returns the distance of two ellipsoids, below zero where they overlap; of those that are `far` a lower bound.
 
     The distance of convex bodies is the width of the widest slab between them. Each step turns the slab's normal
     halfway towards the line between the two points that touch the slab.
@@ -85,79 +77,34 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec
     between = sub(vector(T_other[:3, 3]), vector(T[:3, 3]))
     u = scale(between, 1.0 / max(norm(between), 1e-12))
     widest = -np.inf
-    direction = u
     for _ in range(TIP_TO_TIP.iterations):
         v = sub(add(between, _support(R_other, axes_other, scale(u, -1.0))), _support(R, axes, u))
-        if dot(u, v) > widest:
-            widest = dot(u, v)
-            direction = u
+        widest = max(widest, dot(u, v))
         length = norm(v)
         if not 0.0 < widest < TIP_TO_TIP.far or length < 1e-12:
             break
         u = add(u, scale(v, 1.0 / length))
         u = scale(u, 1.0 / max(norm(u), 1e-12))
-    return widest, direction
+    return widest
 
 
 @inner
-def find_nearest_tips(fingers: Any, Ts_palm_surface: Any, nearest: Any, contacts: Any) -> None:
-    """Writes to each contact its tip's gap to the nearest other tip, and to `nearest` (n, 4) that tip's number and the
-    direction to it."""
+def find_gaps(fingers: Any, Ts_palm_surface: Any, contacts: Any) -> None:
+    """Writes to each contact its tip's gap to the nearest other tip."""
     for i in range(len(contacts)):
         contacts[i].gap = np.inf
         for j in range(i):
-            axes, axes_other = vector(fingers[i].tip.semi_axes), vector(fingers[j].tip.semi_axes)
-            gap, u = _gap(Ts_palm_surface[i], axes, Ts_palm_surface[j], axes_other)
-            if gap < contacts[i].gap:
-                contacts[i].gap, nearest[i, 0] = gap, j
-                store(u, nearest[i, 1:])
-            if gap < contacts[j].gap:
-                contacts[j].gap, nearest[j, 0] = gap, i
-                store(scale(u, -1.0), nearest[j, 1:])
+            axes = vector(fingers[i].tip.semi_axes)
+            axes_other = vector(fingers[j].tip.semi_axes)
+            gap = _gap(Ts_palm_surface[i], axes, Ts_palm_surface[j], axes_other)
+            contacts[i].gap = min(gap, contacts[i].gap)
+            contacts[j].gap = min(gap, contacts[j].gap)
 
 
 @inner
 def touch_probability(gap: float) -> float:
     """Returns the probability that two tips touch, given their gap by the measured joint positions [m]."""
     return 0.5 * math.erfc(TIP_TO_TIP.gap_scale * gap)
-
-
-@inner
-def add_load_of_other_tip(
-    load: Vec6, tip: Fingertip, T_palm_surface: Any, toward: Vec3, smaller: float, contact: Any
-) -> None:
-    """Moves a contact, in its tip's frame, by the load that the nearest other tip may exert, and adds its covariance.
-
-    The other tip, in the direction `toward` (palm), presses where the tips are nearest with a force from 0 to twice
-    `mean_load` times `smaller` [N]. So the load of the object alone has up to that much more along `toward`, and its
-    contact is between c and c + 2 δ, evenly distributed. With a probability P that the tips touch, its mean is c + P δ
-    and its covariance (4/3 P - P²) δ δᵀ.
-    """
-    if not contact.gap < TIP_TO_TIP.max_gap:
-        return
-    probability = touch_probability(contact.gap)
-    R = matrix(T_palm_surface)
-    along = tmul(R, toward)
-    reach = times(tip.semi_axes, along)
-    at = tmul(tip.R, sub(scale(times(tip.semi_axes, reach), 1.0 / norm(reach)), tip.origin))
-    press = scale(tmul(tip.R, along), TIP_TO_TIP.mean_load * smaller)
-    share = 1.0
-    for _ in range(TIP_TO_TIP.max_trials):
-        more = scale(press, share)
-        answer = wrench_to_contact(add(load[0], more), add(load[1], cross(at, more)), tip)
-        if answer[0] == CONTACT:
-            change = np.empty(6)
-            store(scale(sub(answer[1], vector(contact.point)), 1.0 / share), change[:3])
-            store(scale(sub(answer[2], vector(contact.normal)), 1.0 / share), change[3:])
-            variance = probability * (4.0 / 3.0 - probability)
-            for i in range(6):
-                for j in range(6):
-                    contact.covariance[i, j] += variance * change[i] * change[j]
-            store(add(vector(contact.point), scale(vector(change[:3]), probability)), contact.point)
-            normal = add(vector(contact.normal), scale(vector(change[3:]), probability))
-            store(scale(normal, 1.0 / norm(normal)), contact.normal)
-            return
-        share *= 0.5
 
 
 @inner
@@ -226,9 +173,8 @@ def contacts_to_palm(
         store33(matmul(T_palm_tip[0], matrix(finger.R_tip_surface)), Ts_palm_surface[i])
         store(apply(T_palm_tip, vector(finger.center_tip)), Ts_palm_surface[i, :, 3])
     n = len(fingers)
-    nearest = np.zeros((len(fingers), 4))
     loads = np.zeros((len(fingers), 6))
-    find_nearest_tips(fingers, Ts_palm_surface, nearest, contacts)
+    find_gaps(fingers, Ts_palm_surface, contacts)
     gravity = vector(gravity_palm)
     for i in range(n):
         finger = fingers[i]
@@ -251,10 +197,6 @@ def contacts_to_palm(
             tangential = sub(answer[3], scale(answer[2], answer[4]))
             store(mul(matrix(Ts_palm_surface[i]), tangential), contact.load[:3])
             contact.load[3], contact.load[4] = answer[4], answer[5]
-            other = norm(vector(loads[int(nearest[i, 0]), :3]))
-            # If the other sensor has no reading, the comparison is false and the tip's own load is taken.
-            smaller = other if other < norm(load[0]) else norm(load[0])
-            add_load_of_other_tip(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), smaller, contact)
             _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], by_error[i], contact)
 
 
