@@ -7,7 +7,7 @@ checked. A kernel makes the records of its own intermediate values by `stack.loc
 import numpy as np
 
 SAMPLES = 256
-"""Surface samples of an object, which are laid on contacts where there is no vision."""
+"""Surface samples of an object, with which phase 1 matches contacts."""
 MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels handle."""
 
@@ -74,7 +74,14 @@ MODEL = record(
     ("edge_curvature2", "f8"),  # squared curvature above which the surface counts as an edge
     ("error", FIELD_ERROR),
     ("symmetry", SYMMETRY),
+    # In phase 1, the weight of the squared difference of normals against the squared distance [m²].
+    ("normal_weight2", "f8"),
+    ("band", "f8"),  # tangential distance to a sample that costs nothing [m]
+    ("tangential_weight", "f8"),  # of the squared distance beyond it [1/m²]
+    ("sample_variance_distance", "f8"),  # of a sample's plane [m²] and of its normal, per axis [rad²]
+    ("sample_variance_normal", "f8"),
     ("samples", "f8", (SAMPLES, 2, 3)),  # point, normal
+    ("scan", "f4", (7, SAMPLES)),  # squared length, point, normal
 )
 
 CONTACT = record(
@@ -189,6 +196,7 @@ ANSWER = record(
     ("complete", "i8"),  # whether there is a covariance
     ("unobservable", "f8", (6, 6)),
     ("open_count", "i8"),  # number of unobservable directions: the first rows of these
+    ("coarse_cost", "f8"),  # squared residuals on the coarse field, after phase 1 and two steps
     ("chi2", "f8"),
     ("weight", "f8"),  # of the mode among those reported
     ("departure", "f8"),  # from a Gaussian: how much more the cost rises beside the mode, as a ratio

@@ -12,7 +12,8 @@ from handsight.correction.solve import Candidates, solve
 
 MORE_STARTS = 2  # factor on the number of starts when none of the usual ones fits
 MIN_GAIN = 1.0  # least fall of the cost by these starts after which the search goes on
-LEFT_OUT_STARTS = 2  # with a contact left out: starts from vision
+FEWER_STARTS = 14  # with a contact left out: how many starts fewer than usual are drawn
+MAX_STARTS = 16  # with a contact left out: most starts that are drawn
 BLIND_STARTS = 64  # with a contact left out, without vision: number of starts
 KEPT_MINIMA = 4  # with a contact left out: minima of all contacts that are starts too
 MAX_SUSPECTS = 10
@@ -102,7 +103,7 @@ def first_starts(problem: Problem, number: int) -> Records:
     """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
         near = descents_at(problem.starts)
-        near["iterations"] = 1  # a descent with steps behind it skips the coarse field
+        near["iterations"] = 1  # a descent with steps behind it skips phase 1
         return near
     if problem.vision is not None:
         drawn = starts.from_prior(problem.vision, number)
@@ -125,7 +126,8 @@ def _leave_one_out(problem: Problem, found: Candidates, contacts: Indices) -> Ca
         scored = starts.blind(problem, found.used[0], prune=False)
         more = [scored.best(mask, BLIND_STARTS) for mask in masks]
     else:
-        more = [starts.from_prior(problem.vision, LEFT_OUT_STARTS)] * len(masks)
+        number = max(min(starts.usual(problem) - FEWER_STARTS, MAX_STARTS), 1)
+        more = [starts.from_prior(problem.vision, number)] * len(masks)
     here = found.minima[:KEPT_MINIMA]
     begin = np.stack([np.append(here, each) for each in more])
     return solve(problem, begin, masks)

@@ -93,8 +93,8 @@ class Candidates:
 def solve(problem: Problem, starts: Records, used: Mask) -> Candidates:
     """Returns the minima of one set of contacts: of the sets in `used` (S, n), the one with the cheapest minimum.
 
-    `starts` (S, M): DESCENT, those of each set. All are led by the coarse distance field; those that do not repeat
-    another one go on to the fine field.
+    `starts` (S, M): DESCENT, those of each set. All go through phase 1 (nearest samples) and the coarse distance field;
+    those that do not repeat another one go on to the fine field.
     """
     model = problem.model
     arguments = problem.arguments(used)

@@ -13,18 +13,19 @@ import numpy as np
 from handsight import se3
 from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
-from handsight._kernels.solve import search
+from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import solve
+from handsight.correction import modes, solve
 from handsight.correction.estimate import PosePrior, bounded_covariance
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, Records
 from handsight.objects import ObjectModel
 
-STARTS = 16  # with vision: its own pose, and draws from it
+MIN_STARTS = 16  # with vision: starts from the narrowest prior
+MAX_STARTS = 32  # with vision: starts from the widest prior
 FINE_STEP = 2
-"""With vision, where few contacts may have several minima: one start in so many skips the coarse field, which leads
-to none of the minima that only the fine field has."""
+"""With vision, where few contacts may have several minima: one start in so many skips phase 1 and the coarse field,
+which lead to none of the minima that only the fine field has."""
 BLIND_SPINS = 18  # without vision: turns about a contact's normal that are tried
 MAX_ANCHORS = 3  # without vision: contacts on which the surface is laid
 BLIND_KEPT = 384  # without vision: starts that are descended from
@@ -40,8 +41,13 @@ AROUND_SHRINK = 0.3  # factor on the spread from round to round
 
 
 def usual(problem: Problem) -> int:
-    """Returns the number of starts of a problem for which one is not enough."""
-    return BLIND_KEPT if problem.blind else STARTS
+    """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
+    if problem.vision is None:
+        return BLIND_KEPT
+    if modes.several_minima(problem.model, problem.rows, len(problem.contacts)):
+        return MAX_STARTS
+    w = batch.width(problem.model.record.model, problem.vision.record)
+    return int(min(max(round(80 * w), MIN_STARTS), MAX_STARTS))
 
 
 def from_prior(vision: PosePrior, number: int) -> Records:

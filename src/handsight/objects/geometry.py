@@ -11,7 +11,7 @@ from handsight.checks import Array, Indices
 from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
-SAMPLES = 256  # surface points that a correction without vision lays on contacts
+SAMPLES = 256  # surface points with which phase 1 of a correction matches contacts
 MIN_EXTENT = 0.005  # of an object in a hand; a smaller one has another unit [m]
 MAX_EXTENT = 2.0  # and a larger one [m]
 

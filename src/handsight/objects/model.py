@@ -42,6 +42,7 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     """Returns the record of an object with that geometry and those symmetries."""
     record = np.zeros(1, dtype=records.MODEL)
     row = record[0]
+    spacing = geometry.sample_spacing
     diameter = geometry.diameter
     coarse = geometry.coarse.fill(row["coarse"], 0)
     nodes = [coarse, geometry.fine.fill(row["fine"], len(coarse))]
@@ -76,8 +77,18 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     symmetry["axes"] = len(symmetries.axes)
     symmetry["rotations"] = count
     symmetry["rotation"][:count] = symmetries.rotations[:, :3]
+    # In the distance of a contact from a sample, a difference of 1 between unit normals counts as much as this length.
+    row["normal_weight2"] = (1.3 * diameter) ** 2
+    # A tangential distance within the band costs nothing; beyond it, this is its standard deviation.
+    row["band"] = 1.6 * spacing
+    row["tangential_weight"] = 1 / (0.32 * spacing) ** 2
+    row["sample_variance_distance"] = (0.02 * spacing) ** 2  # of the surface about a sample's plane
+    row["sample_variance_normal"] = geometry.sigma_normal**2
     row["samples"][:, 0] = geometry.points_object
     row["samples"][:, 1] = geometry.normals_object
+    row["scan"][0] = (geometry.points_object**2).sum(axis=1)
+    row["scan"][1:4] = geometry.points_object.T
+    row["scan"][4:] = geometry.normals_object.T
     return ModelRecord(record, np.concatenate(nodes), kind != records.OTHER_SYMMETRY)
 
 

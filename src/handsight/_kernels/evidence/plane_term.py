@@ -9,6 +9,7 @@ from handsight._kernels.jit import inner
 from handsight._kernels.math.normal_equations import add_row
 from handsight._kernels.math.vec3 import Vec3, apply, dot, scale, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
+from handsight._kernels.mesh.samples import scan
 from handsight._kernels.records import BOX, CYLINDER, SPHERE
 
 
@@ -21,7 +22,8 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
     finitely many steps; on scans, whose fields are round at edges, it ends a little high.
     """
     model = evidence.model
-    field = model.fine
+    field = evidence.model.fine
+    none = np.float32(0.0)
     half = vector(field.origin)
     if field.kind == BOX:
         return -np.copysign(half[0], up[0]), -np.copysign(half[1], up[1]), -np.copysign(half[2], up[2])
@@ -30,11 +32,8 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
         return side * up[0], side * up[1], -np.copysign(half[1], up[2])
     if field.kind == SPHERE:
         return scale(up, -half[0])
-    low = vector(model.samples[0, 0])
-    for sample in model.samples:
-        point = vector(sample[0])
-        if dot(point, up) < dot(low, up):
-            low = point
+    query = none, np.float32(up[0]), np.float32(up[1]), np.float32(up[2]), none, none, none
+    low = vector(model.samples[scan(model.scan, query), 0])
     step = 0.25 * model.radius
     for _ in range(10):
         lower = sub(low, scale(up, step))

@@ -40,7 +40,8 @@ from handsight._kernels.records import (
 )
 from handsight._kernels.solve.doubt import is_suspicious, verdict, worst_contact
 from handsight._kernels.solve.levenberg import descend
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.match import match
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 
@@ -61,16 +62,20 @@ def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior
 
 @inner
 def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
-    """Returns the minimum that a pose leads to, over the coarse field or, if it `follows`, on the fine field alone;
-    writes costs, steps and convergence."""
+    """Returns the minimum that a pose leads to in both phases, or, if it `follows`, on the fine field alone; writes
+    costs, steps and convergence."""
     model = evidence.model
-    answer.iterations = 0
-    for part in range(1 if follows else 0, 2):
-        field = model.fine if part else model.coarse
-        pose, cost, steps, converged = descend(evidence, field, pose, LIMITS[part], True)
-        answer.cost = cost
-        answer.iterations += steps
-        answer.converged = converged
+    steps = 0
+    if not follows:
+        pose, steps, _ = match(evidence, pose, MATCH.max_steps)
+    cost = 0.0
+    converged = False
+    for phase in range(1 if follows else 0, 2):
+        answer.coarse_cost = cost
+        field = model.fine if phase else model.coarse
+        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], True)
+        steps += more
+    answer.cost, answer.iterations, answer.converged = cost, steps, converged
     return pose
 
 
@@ -83,6 +88,12 @@ def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, 
         return distance, np.nan
     normal = vector(contact.normal)
     return distance, np.arctan2(norm(cross(facing, normal)), dot(facing, normal))
+
+
+@entry
+def width(model: Any, constraints: Any) -> float:
+    """Returns the `prior_width` of the constraints' prior."""
+    return prior_width(model[0], constraints[0].prior)
 
 
 @entry
@@ -119,6 +130,7 @@ def correct(
     prior_pose = pose_of(given.prior.pose)
     follows = problem.follows != 0
     worst = 0
+    coarse_cost = 0.0
     pose = pose_of(problem.start) if follows else prior_pose
     answer.first_order = 0
     answer.weight = 1.0
@@ -141,10 +153,14 @@ def correct(
         if problem.pose_only:
             return DOUBTED
         summarize(evidence, pose, answer, flat)
-        if attempt == 2 or follows or not is_suspicious(answer):
+        if attempt == 2:
+            answer.coarse_cost = coarse_cost
+        elif follows or not is_suspicious(answer):
             break
-        worst = worst_contact(terms)
-        terms[worst].contact.used = 0
+        else:
+            worst = worst_contact(terms)
+            coarse_cost = answer.coarse_cost
+            terms[worst].contact.used = 0
     answer.verdict = found = verdict(evidence, follows, attempt > 0, answer)
     if found != DOUBTED:
         to_mean(evidence, problems.answer, 0, flat, -np.inf)

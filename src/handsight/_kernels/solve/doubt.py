@@ -12,7 +12,8 @@ from handsight._kernels.math.stack import local
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.records import DOUBTED, ENOUGH, GRID, POSE, SHEET, UNCERTAINTY, UNDECIDED
 from handsight._kernels.solve.levenberg import descend
-from handsight._kernels.solve.options import ACCEPTANCE, DESCENT, SEARCH
+from handsight._kernels.solve.match import are_near, match
+from handsight._kernels.solve.options import ACCEPTANCE, DESCENT, MATCH, SEARCH
 
 DRAWS = np.random.default_rng(0).normal(size=(1 + ACCEPTANCE.confirming, 6))[1:]
 """Standard normal draws, those that a search begins with after the prior's own pose."""
@@ -40,8 +41,7 @@ def chi2_survival(chi2: float, freedom: int) -> float:
 def _confirmed(evidence: Evidence, answer: Any) -> bool:
     """Returns whether draws from the prior lead to no likely minimum but that of an ANSWER, and to no lower cost.
 
-    Those that the coarse field leads to where it led an earlier one go no further, and none does once one has led
-    elsewhere.
+    Those that phase 1 leads to where it led an earlier one go no further, and none does once one has led elsewhere.
     """
     model = evidence.model
     given = evidence.constraints
@@ -53,20 +53,23 @@ def _confirmed(evidence: Evidence, answer: Any) -> bool:
     nodes, hand, measured = evidence.nodes, evidence.outside, evidence.measured
     evidence = Evidence(model, nodes, terms, hand, measured, given, evidence.prior, evidence.center)
     spread(given.prior, u)
-    for draw in DRAWS:
-        start = drawn(given.prior, draw, u)
-        pose, _, _, _ = descend(evidence, model.coarse, start, DESCENT.coarse, True)
+    for k in range(len(DRAWS)):
+        pose = drawn(given.prior, DRAWS[k], u)
         new = True
-        for k in range(count):
-            new = new and are_distinct(model, pose, pose_of(ends[k]), SEARCH.same_after_coarse)
-        if not new:
-            continue
-        store_pose(pose, ends[count])
-        count += 1
-        pose, cost, _, _ = descend(evidence, model.fine, pose, DESCENT.fine, True)
-        likely = cost < answer.cost + 2 * SEARCH.unlikely
-        if cost < answer.cost - 1 or (likely and are_distinct(model, pose, found, SEARCH.same_minimum)):
-            return False
+        done = False
+        for part in range(2):
+            if new and not done:
+                pose, _, done = match(evidence, pose, MATCH.max_steps if part else SEARCH.first_steps)
+                for j in range(count):
+                    new = new and not are_near(model, pose, pose_of(ends[j]))
+        if new:
+            store_pose(pose, ends[count])
+            count += 1
+            pose, _, _, _ = descend(evidence, model.coarse, pose, DESCENT.coarse, True)
+            pose, cost, _, _ = descend(evidence, model.fine, pose, DESCENT.fine, True)
+            likely = cost < answer.cost + 2 * SEARCH.unlikely
+            if cost < answer.cost - 1 or (likely and are_distinct(model, pose, found, SEARCH.same_minimum)):
+                return False
     return True
 
 
@@ -118,9 +121,10 @@ def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) ->
     else:
         wide = (answer.width / SEARCH.single_start_width) ** 2
         level = ACCEPTANCE.doubt_p if fine in (GRID, SHEET) else ACCEPTANCE.doubt_plain_p
+        coarse = chi2_survival(answer.coarse_cost * wide / ACCEPTANCE.coarse_factor, rows)
         p_value = chi2_survival(cost, freedom(answer))
         fits = not is_suspicious(answer) and not (few and answer.width > ACCEPTANCE.weak_width)
-        if led_astray or p_value < level * wide:
+        if led_astray or coarse < ACCEPTANCE.coarse_p or p_value < level * wide:
             fits = fits and _confirmed(evidence, answer)
     if not fits:
         return DOUBTED

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a distance field, one pose at a time; its step and retraction for other solvers."""
+"""Phase 2: Levenberg-Marquardt on a distance field, one pose at a time; its step and retraction for other solvers."""
 
 from typing import Any
 

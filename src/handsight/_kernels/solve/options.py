@@ -1,19 +1,27 @@
-"""Options of a correction's search: of its descents, and of when two poses count as the same."""
+"""Options of a correction's search: of its two phases, and of when two poses count as the same."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 
+class MatchOptions(NamedTuple):
+    """`MatchOptions` say how phase 1 works: Gauss-Newton on nearest surface samples."""
+
+    max_steps: int = 8
+    tolerance: float = 0.02
+    """A step that moves no part of the object by more than this many radii ends the phase."""
+
+
 class DescentOptions(NamedTuple):
-    """`DescentOptions` say how a descent works: Levenberg-Marquardt, first on the coarse and then on the fine distance
+    """`DescentOptions` say how phase 2 works: Levenberg-Marquardt, first on the coarse and then on the fine distance
     field."""
 
     max_turn: float = 0.7
     """Longest turn of one step [rad]: for more the linearisation does not hold."""
     short_step: float = 2e-5
     """A step also counts as small when it moves no part of the object by more than this many radii."""
-    coarse: tuple[int, float] = (12, 0.3)
+    coarse: tuple[int, float] = (2, 0.3)
     """Most steps, and the step that is small [standard deviations], on the coarse field, whose own error is larger."""
     fine: tuple[int, float] = (50, 0.03)
     """The same on the fine field."""
@@ -24,6 +32,8 @@ class SearchOptions(NamedTuple):
 
     single_start_width: float = 0.225
     """With a prior narrower than this part of the diameter one start is enough."""
+    same_after_match: tuple[float, float] = (0.001, float(np.deg2rad(1.0)))
+    """Two poses after phase 1 that differ by less are the same [m], [rad]."""
     same_after_coarse: tuple[float, float] = (0.002, float(np.deg2rad(2.0)))
     """Two descents on the coarse field that end nearer to each other are the same [m], [rad]."""
     same_minimum: tuple[float, float] = (0.002, float(np.deg2rad(3.0)))
@@ -32,6 +42,7 @@ class SearchOptions(NamedTuple):
     unlikely: float = 7.0  # a minimum whose log weight is so much below the largest is no part of a mode
     negligible: float = 20.0  # one whose log weight is so much below the largest is no hypothesis
     dear: float = 100.0  # a minimum that costs so much more than the cheapest is not weighed
+    first_steps: int = 2  # of phase 1, after which a start may already be where another one ended
 
 
 class AcceptanceOptions(NamedTuple):
@@ -54,6 +65,9 @@ class AcceptanceOptions(NamedTuple):
     """The same on a box, a cylinder or a sphere: of 900 answers there that only the level above doubts, 16 starts led
     to a better one no more often than of those that it does not."""
     confirming: int = 7  # draws from the prior that all lead to a doubted answer before it is given
+    coarse_p: float = 0.1
+    """The same of the cost on the coarse field, divided by `coarse_factor`."""
+    coarse_factor: float = 5.0
     decisive: float = 16.27
     """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
     few_rows: int = 9
@@ -89,5 +103,5 @@ class RegistrationOptions(NamedTuple):
     """Rows from which on their squared residuals tell how wrong the declared covariances are."""
 
 
-DESCENT, SEARCH = DescentOptions(), SearchOptions()
+MATCH, DESCENT, SEARCH = MatchOptions(), DescentOptions(), SearchOptions()
 ACCEPTANCE, REGISTRATION = AcceptanceOptions(), RegistrationOptions()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import surface_at
+from handsight._kernels.evidence.contact_term import Pose, surface_at
 from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
 from handsight._kernels.jit import entry, inner
@@ -27,11 +27,21 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import MEASURED, NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import (
+    MEASURED,
+    NO_PRIOR,
+    POSE,
+    PRIOR_TERM,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.match import are_near, match
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
+LIMITS = DESCENT.coarse, DESCENT.fine
 WORST = 1e300
 """The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
@@ -102,48 +112,56 @@ def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, cos
 
 
 @inner
+def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
+    """Returns whether phase 1 led an earlier row nearly to this pose, not counting symmetries; if not, stores the pose.
+
+    `earlier` (M,) POSE: where phase 1 led those of the first k rows that were not repeats.
+    """
+    for j in range(k):
+        if rows[j, 0].cost < np.inf and are_near(model, pose, pose_of(earlier[j])):
+            return True
+    store_pose(pose, earlier[k])
+    return False
+
+
+@inner
 def _select(model: Any, rows: Any, chosen: Any) -> int:
-    """Returns how many descents (M,) are no repeats of cheaper ones, modulo symmetry; fills `chosen` with their
-    indices, cheapest first. A repeat gets an infinite cost."""
+    """Returns how many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with their indices,
+    cheapest first."""
     count = 0
     taken = np.zeros(len(rows), np.bool_)
-    while True:
+    for _ in range(len(rows)):
         best = -1
+        least = np.inf
         for k in range(len(rows)):
-            if not taken[k] and rows[k].cost < (np.inf if best < 0 else rows[best].cost):
+            if not taken[k] and rows[k, 0].cost < least:
                 best = k
+                least = rows[k, 0].cost
         if best < 0:
-            return count
+            break
         taken[best] = True
-        pose = pose_of(rows[best].pose)
         new = True
+        pose = pose_of(rows[best, 0].pose)
+        limits = SEARCH.same_after_coarse
         for j in range(count):
-            other = pose_of(rows[chosen[j]].pose)
-            new = new and are_distinct(model, pose, other, SEARCH.same_after_coarse)
+            if not are_distinct(model, pose, pose_of(rows[chosen[j], 0].pose), limits):
+                new = False
+                break
         if new:
             chosen[count] = best
             count += 1
         else:
-            rows[best].cost = np.inf
-
-
-@inner
-def _descended(evidence: Evidence, field: Any, limits: tuple[int, float], rewhiten: bool, row: Any) -> None:
-    """Moves a descent to where a field leads it, and adds the steps that this takes."""
-    pose, cost, steps, converged = descend(evidence, field, pose_of(row.pose), limits, rewhiten)
-    store_pose(pose, row.pose)
-    row.cost = min(cost, WORST) if cost == cost else WORST
-    row.iterations += steps
-    row.converged = converged
+            rows[best, 0].cost = np.inf
+    return count
 
 
 @entry
 def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, blocks: Any) -> None:
     """Moves starts (B, M, 1) to the minima that they lead to; a repeat within its block gets an infinite cost.
 
-    The coarse field comes first, except for starts that are minima of other evidence already (`iterations` above 0);
-    then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction any place
-    is a minimum, and the second of each is moved on to the most likely one by the weak prior.
+    Phase 1 and the coarse field come first, except for starts that are minima of other evidence already (`iterations`
+    above 0); then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction
+    any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
     """
     term = local(PRIOR_TERM)
     nothing = local(PRIOR_TERM)
@@ -153,24 +171,48 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
     hand = outside.copy()
     measured = local(MEASURED)
     chosen = np.empty(blocks.shape[1], np.int64)
-    for rows in blocks:
+    earlier = np.empty(blocks.shape[1], POSE)
+    for b in range(len(blocks)):
+        rows = blocks[b]
         center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term, measured)
-        # The weak prior is no part of the cost by which minima are compared.
+        matching = Evidence(model[0], nodes, terms, hand, measured, given, term, center)
+        # The weak prior keeps phase 1 from running away, but is no part of the cost by which minima are compared.
         weak = term.kind == WEAK_PRIOR
-        everything = Evidence(model[0], nodes, terms, hand, measured, given, term, center)
         fitting = Evidence(model[0], nodes, terms, hand, measured, given, nothing if weak else term, center)
-        firsts = rows[:, 0]
-        for row in firsts:
-            row.converged = row.iterations > 0
-            row.cost = 0.0 if row.cost < np.inf else np.inf
-        for row in firsts:
-            if row.cost < np.inf and not row.converged:
-                _descended(fitting, model[0].coarse, DESCENT.coarse, True, row)
-        count = _select(model[0], firsts, chosen)
-        for k in chosen[:count]:
-            _descended(fitting, model[0].fine, DESCENT.fine, True, rows[k, 0])
-            for second in rows[k, 1:]:
-                store_pose(pose_of(rows[k, 0].pose), second.pose)
-                second.iterations = rows[k, 0].iterations
-                _descended(everything, model[0].fine, DESCENT.fine, False, second)
-                second.cost -= evidence_cost(everything, PRIOR, pose_of(second.pose))
+        count = len(rows)
+        ends = 1
+        for phase in range(2):
+            if phase == 1:
+                count = _select(model[0], rows, chosen)
+                ends = rows.shape[1]
+            for m in range(count * ends):
+                k, end = (chosen[m // ends], m % ends) if phase else (m, 0)
+                row = rows[k, end]
+                pose = pose_of(rows[k, 0].pose)
+                steps = rows[k, 0].iterations
+                if phase == 0:
+                    if row.cost == np.inf:
+                        continue
+                    if row.iterations > 0:
+                        row.cost = 0.0
+                        store_pose(pose, earlier[k])
+                        continue
+                    new = True
+                    done = False
+                    while new and not done and steps < MATCH.max_steps:
+                        left = MATCH.max_steps - steps if steps else SEARCH.first_steps
+                        pose, more, done = match(matching, pose, left)
+                        steps += more
+                        new = not _repeats(model[0], rows, k, pose, earlier)
+                    if not new:
+                        row.cost = np.inf
+                        continue
+                evidence = matching if end else fitting
+                field = model[0].fine if phase else model[0].coarse
+                pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], end == 0)
+                if end:
+                    cost -= evidence_cost(matching, PRIOR, pose)
+                row.cost = min(cost, WORST) if cost == cost else WORST
+                row.iterations = steps + (0 if end else more)
+                row.converged = phase == 1 and converged
+                store_pose(pose, row.pose)
