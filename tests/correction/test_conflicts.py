@@ -254,15 +254,13 @@ def test_a_second_smaller_wrong_contact_is_found_too():
 
 
 def test_a_pose_is_gaussian_about_the_middle_of_the_object_wherever_its_origin_is():
-    """A mesh and the same one with its origin 350 mm beside it: the same problem has the same answer, up to the minima
-    of a gripped box's edges, of which grids in other places have others: 4 of 60."""
+    """A mesh and the same one with its origin 350 mm beside it: the same problem has the same answer."""
     vertices, faces = box().vertices, box().faces
     near = hs.ObjectModel.from_mesh(vertices, faces)
     off = np.array([0.35, 0.0, 0.0])
     far = hs.ObjectModel.from_mesh(vertices + off, faces)
     T_near_far = se3.compose(np.eye(3), -off)
-    squares, agree = [], []
-    for seed in range(60):
+    for seed in range(8):
         rng = np.random.default_rng([8, seed])
         T = se3.random(rng, spread=0.1)
         contacts = touched(T, on_box_faces(rng, 8), NOISE, rng)
@@ -271,8 +269,5 @@ def test_a_pose_is_gaussian_about_the_middle_of_the_object_wherever_its_origin_i
         one = hs.correct_pose(near, contacts, vision=vision)
         other = hs.correct_pose(far, contacts, vision=vision.at_point(-off))
         step = se3.difference(other.T_palm_object @ se3.inverse(T_near_far), one.T_palm_object)
-        squares.append(step @ one.information @ step)
-        agree.append(one.consistent == other.consistent)
-    assert np.median(squares) < 0.1
-    assert np.sum(np.array(squares) > 1) <= 5
-    assert np.mean(agree) > 0.95
+        assert step @ one.information @ step < 1
+        assert one.consistent == other.consistent

@@ -192,8 +192,7 @@ class TactileSurface:
         record["noise"] = self.noise
         record["variance_point"] = self.sigma_point**2
         record["indentation"] = self.indentation
-        # A gel hangs beside an object, and a pad may bear one that it does not feel, so neither has untouched taxels.
-        record["flat"] = flat and not self.is_zeroed
+        record["flat"] = flat
         return record
 
     def _usual_sigma_normal(self, flat: bool) -> float:
@@ -301,7 +300,8 @@ class TactileSurface:
         patches = patches[:count]
         sink(patches, self, GIVES)
         if self.is_zeroed:
-            # A patch is one contact, and what hangs between gel and object does not say where the object is not.
+            # A patch is one contact. A gel hangs beside an object, and a pad may bear one that it does not feel, so
+            # what is not touched does not say where the object is not.
             patches["flat"] = False
             states[0][states[0] == UNTOUCHED] = FAR
         return SkinTouch(self, rise, states, patches)

@@ -43,7 +43,7 @@ class FastReader:
         if not self._named or not data.startswith(self._named, 12):
             at = self._aligned(16 + self._count(data, 12), 4)
             count = self._count(data, at)
-            at = at + 4
+            at += 4
             names = []
             for _ in range(count):
                 at, name = self._text(data, at)
@@ -62,7 +62,7 @@ class FastReader:
         """Returns the transforms of a TFMessage."""
         at = 4 if self._cdr else 0
         count = self._count(data, at)
-        at = at + 4
+        at += 4
         found = list[StampedTransform]()
         for _ in range(count):
             at = self._aligned(at, 4) if self._cdr else at + 4

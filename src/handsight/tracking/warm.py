@@ -110,7 +110,7 @@ def track() -> None:
     wrenches = dict.fromkeys(fingers, np.array([0, 0, -1.0, 0, 0, 0]))
     measured = PoseMeasurement(np.eye(4), "world")
     readings = {"left": np.full((2, 2), 9)}
-    for stamp, vision in enumerate((measured, measured, None, None)):
+    for stamp, vision in enumerate((measured, measured, None)):
         observation = Observation(stamp / 10, joints, wrenches, vision, np.eye(4), skin=readings)
         state, _ = follower.step(state, observation)
     Friction().update([0.5], kept_up=0.5)

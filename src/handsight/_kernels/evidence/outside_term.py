@@ -157,7 +157,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
             lever = scale(sub(vector(point.point), center), 1 / radius)
             by_shift = add(by_shift, slope)
             by_turn = add(by_turn, cross(lever, slope))
-            total = total + power
+            total += power
             link = point.link
 
 
@@ -171,7 +171,7 @@ def links_within(evidence: Any, pose: Pose) -> int:
         if (count == 0 or point.link != link) and point.clearance <= evidence.measured.move:
             depth, _ = _depth(evidence, evidence.model.fine, pose, point)
             if depth > 0:
-                count = count + 1
+                count += 1
                 link = point.link
     return count
 
@@ -189,7 +189,7 @@ def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
         u, _ = _depth(evidence, field, pose, point)
         if u > 0:
             if point.link != link:
-                cost = cost + total ** (2 / POWER)
+                cost += total ** (2 / POWER)
                 total = 0.0
                 link = point.link
             total += u**POWER

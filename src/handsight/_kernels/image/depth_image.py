@@ -77,7 +77,7 @@ def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
             while done < size:
                 v, u = part[done, 0], part[done, 1]
                 z = depth[v, u]
-                done = done + 1
+                done += 1
                 for v1, u1 in ((v + 1, u), (v - 1, u), (v, u + 1), (v, u - 1)):
                     if v1 < 0 or v1 >= height or u1 < 0 or u1 >= width:
                         continue

@@ -218,9 +218,9 @@ def _normal_equations(
             room.right[r] += w * y * room.x[r]
             for c in range(r + 1):
                 room.matrix[r, c] += w * room.x[r] * room.x[c]
-        total = total + w
-        squares = squares + w * w
-        heights = heights + w * y * y
+        total += w
+        squares += w * w
+        heights += w * y * y
     return total, squares, rejected, heights
 
 

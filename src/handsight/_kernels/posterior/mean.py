@@ -202,7 +202,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         for n in range(count, at, -1):
             order[n] = order[n - 1]
         order[at] = count
-        count = count + 1
+        count += 1
         best = max(best, point.log_weight)
         flat.most_cost = points[0].cost + 2 * (points[0].log_weight - best + INTEGRATION.given_up)
         if point.log_weight > best - 0.5 * INTEGRATION.max_cost:
@@ -212,7 +212,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         if count == len(points):
             break
         if pending:
-            at = at + (1 if beyond > place else 0)
+            at += 1 if beyond > place else 0
             place = beyond
             pending = False
         elif first.log_weight > best - INTEGRATION.max_fall:

@@ -19,7 +19,7 @@ SURFACE = np.dtype([
     *(("noise", float), ("variance_point", float), ("variance_normal", float)),
     ("pitch", float),  # side of a taxel [m]
     ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
-    ("flat", bool),  # whether all normals are parallel, and an untouched taxel says that the object is not there
+    ("flat", bool),  # whether all normals are parallel
     ("indentation", bool),  # whether readings are indentations [m]
 ])  # fmt: skip
 """What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""

@@ -109,7 +109,7 @@ def sense_taxels(
                     steps = 0
                     while j < n and not touched[j] and steps < n:
                         j = taxels[j].beside[side]
-                        steps = steps + 1
+                        steps += 1
                     ends += touched[j]
                 state[i] = LOW if ends == 2 else state[i]
             beside = record.flat or (_sum(touched, taxels[i].wide) > 0 and not _sum(touched, near))
@@ -158,18 +158,18 @@ def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any
         label[i] = count
         while done < size:
             at = members[done]
-            done = done + 1
+            done += 1
             for j in taxels[at].near:
                 if j < n and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
                     label[j] = count
                     members[size] = j
-                    size = size + 1
+                    size += 1
         for at in members[:done]:
             for j in taxels[at].near:
                 if label[j] < 0 and known[j]:
                     label[j] = count
                     members[size] = j
-                    size = size + 1
+                    size += 1
         _measure(record, taxels, members[:size], rise, filled, touched, patches[count])
         label[members[done:size]] = -1
         count += 1
@@ -333,7 +333,7 @@ def watch_taxels(
     touched = (states[1, :n] >= 0) & (rise[:n, last] >= record.threshold)
     few = touched.sum() <= 1 + states[1].max() and touched.sum() < n
     rest = rest and (count < TAXELS.min_rest or few)
-    count = count + rest
+    count += rest
     varied = 0
     for i in range(n):
         w = watched[i]
