@@ -55,6 +55,7 @@ TRUSTED_DIRECTIONS = 3  # directions that must fit after that: with one, any loa
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
 WRONG_SIGN = "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
 WEIGHS = "it weighs"
+BORNE_ELSEWHERE = "the loads are not those of this weight alone: something else bears part of it"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
@@ -202,27 +203,20 @@ class Weigher:
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
             self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
-        limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
-        self.reason = ""
-        if found.mass < -WRONG_MASS * found.sigma_mass:
-            arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
-            push = (load.forces * arms).sum() / (np.linalg.norm(load.forces) * np.linalg.norm(arms) + 1e-9)
-            self.reason = WRONG_SIGN if push < -PULL else PULLED_UP
-        elif self.mass is not None:
-            known = found.given_mass(self.mass, self.sigma_mass)
-            off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
-            if off <= limit or len(instants) == 1:
-                found = known
-            else:
-                self.reason = f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}"
+        lifts = found.mass < -WRONG_MASS * found.sigma_mass
+        other_mass = self._other_mass(found, len(instants))
+        if self.mass is not None and not lifts and not other_mass:
+            found = found.given_mass(self.mass, self.sigma_mass)
+        few = self._doubted and len(instants) < TRUSTED_DIRECTIONS
         away = float(np.abs(found.center_palm - load.middle_palm).max())
-        if not self.reason and not away < MAX_REACH:
-            self.reason = f"the loads would be those of a weight {away:.1f} m away from the hand"
-        if not self.reason and not found.consistent:
-            self.reason = "the loads are not those of this weight alone: something else bears part of it"
-        if not self.reason and self._doubted and len(instants) < TRUSTED_DIRECTIONS:
-            few = TRUSTED_DIRECTIONS
-            self.reason = f"loads have fitted no weight, and not one in {few} directions since"
+        tests = (
+            (lifts, WRONG_SIGN if _pulls(load) else PULLED_UP),
+            (other_mass, other_mass),
+            (not away < MAX_REACH, f"the loads would be those of a weight {away:.1f} m away from the hand"),
+            (not found.consistent, BORNE_ELSEWHERE),
+            (few, f"loads have fitted no weight, and not one in {TRUSTED_DIRECTIONS} directions since"),
+        )
+        self.reason = next((reason for failed, reason in tests if failed), "")
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         # Where only the declared mass contradicts them, the loads still fit those that were kept.
@@ -235,6 +229,14 @@ class Weigher:
         if load.acceleration <= MAX_ACCELERATION and load.turning <= MAX_TURNING:
             self._keep(load)
 
+    def _other_mass(self, found: Weighing, directions: int) -> str:
+        """Returns how a weighing contradicts the declared mass; empty where it does not, as in one direction alone."""
+        if self.mass is None or directions == 1:
+            return ""
+        limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
+        off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
+        return f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}" if off > limit else ""
+
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
         direction = load.gravity / np.linalg.norm(load.gravity)
@@ -246,6 +248,13 @@ class Weigher:
         elif angles[near] < SAME_DIRECTION:
             new = Carried(load), self._kept[near][1]
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
+
+
+def _pulls(load: LoadSum) -> bool:
+    """Returns whether the fingers' forces lead out of the grasp."""
+    arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
+    size = np.linalg.norm(load.forces) * np.linalg.norm(arms) + 1e-9
+    return bool((load.forces * arms).sum() < -PULL * size)
 
 
 def _angles(vectors: Sequence[Array], direction: Array) -> Array:
