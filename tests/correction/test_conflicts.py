@@ -37,15 +37,19 @@ def named(estimate):
 @pytest.mark.parametrize("n", [10, 20, 40])
 @pytest.mark.parametrize("sigmas_off", [8, 10])
 def test_a_prior_that_many_contacts_contradict_is_named(n, sigmas_off):
+    """And no contact is blamed, but for one in 1000 by chance."""
+    left_out = 0
     for seed in range(12):
         contacts, vision, _ = narrow(seed, n, sigmas_off)
         found = hs.correct_pose(box(), contacts, vision=vision)
         assert not found.consistent
-        assert named(found) == {"vision"}
-        (conflict,) = found.conflicts
+        left_out += len(found.outliers)
+        (conflict,) = [each for each in found.conflicts if not each.excluded]
+        assert conflict.evidence == "vision"
         assert conflict.against == "contacts"
         assert conflict.p_value < 1e-4
         assert conflict.freedom == 6
+    assert left_out <= 1
 
 
 def test_the_offset_of_a_prior_is_what_it_is_off():

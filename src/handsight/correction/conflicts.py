@@ -25,6 +25,7 @@ from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, poses_of
 from handsight.correction.registration import Registration, registered
 from handsight.correction.solve import residuals
+from handsight.gaussian_pose import GaussianPose
 
 Kind = Literal["vision", "weight", "skin", "outside"]
 Evidence = Kind | int
@@ -105,13 +106,6 @@ def _in_use(problem: Problem, estimate: PoseEstimate) -> Mask:
     return used
 
 
-def of_vision(problem: Problem, estimate: PoseEstimate) -> Conflict:
-    """Returns the conflict of vision with the rest, of an estimate that trusts it less."""
-    used = problem.everyone if problem.registered else _in_use(problem, estimate)
-    answer, _ = descended(problem, used, estimate.answer["pose"])
-    return _against(problem, used, "vision", answer).conflict
-
-
 def _suspects(problem: Problem, answer: np.void, used: Mask) -> list[Evidence]:
     """Returns the evidence that may contradict the rest, to first order where that is known; what is left out can lower
     χ² by no more than all of it. Single contacts of a registration have been judged already."""
@@ -131,7 +125,8 @@ def _suspects(problem: Problem, answer: np.void, used: Mask) -> list[Evidence]:
         return []
     found: list[Evidence] = []
     for gain in doubtful:
-        if chi2 > limits[gain]:
+        # Vision in its tail costs less than its squared residuals.
+        if chi2 > limits[gain] or gain == "prior_gain":
             found.append(_worst(problem, answer, used) if gain == "gain" else BY_GAIN[gain])
     return [*found, "weight", "skin"]
 
@@ -147,11 +142,9 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
     while len(found) < MOST_CONFLICTS:
         best: Without | None = None
         for evidence in _suspects(problem, answer, used):
-            if not _freedom(problem, used, evidence, answer):
-                continue
-            if not _without(problem, used, evidence)[1].any():
-                continue
             without = _against(problem, used, evidence, answer)
+            if without is None:
+                continue
             p_value = without.conflict.p_value
             level = EACH / int(used.sum()) if isinstance(evidence, int) else KIND
             if p_value < level and (best is None or p_value < best.conflict.p_value):
@@ -172,13 +165,40 @@ class Without(NamedTuple):
     answer: np.void
 
 
-def _against(problem: Problem, used: Mask, evidence: Evidence, answer: np.void) -> Without:
-    """Returns the conflict of some evidence with the rest, from the ANSWER with it."""
+def _against(problem: Problem, used: Mask, evidence: Evidence, answer: np.void) -> Without | None:
+    """Returns the conflict of some evidence with the rest, from the ANSWER with it; None where there is none of it, or
+    no contact beside it."""
     others, kept = _without(problem, used, evidence)
+    if not _freedom(problem, used, evidence, answer) or not kept.any():
+        return None
     other, offsets = descended(others, kept, answer["pose"])
-    fall = _fall(problem, evidence, answer, other)
+    fall = _innovation(problem, other) if evidence == "vision" else _fall(problem, evidence, answer, other)
     conflict = _conflict(problem, used, evidence, fall, answer, offsets, rest=other)
     return Without(conflict, others, kept, other)
+
+
+def _innovation(problem: Problem, rest: np.void) -> float:
+    """Returns rᵀ (R + P)⁻¹ r of vision's pose and that of the rest, the ANSWER without it.
+
+    With R⁻¹ = L and P⁻¹ = H that is rᵀ (L - L (L + H)⁻¹ L) r, as the rest may leave directions open. The residuals r
+    are the shift of the object's middle and the turn. No sigma counts as less than 1e-5 of the object's radius, as in
+    the solver.
+    """
+    vision = problem.vision
+    assert vision is not None
+    model = problem.model
+    middle = model.center_object
+    T = poses_of(rest)
+    T_vision = model.nearest(vision.T_palm_object[None], T)[0]
+    seen = GaussianPose(T_vision, vision.covariance).at_point(middle)
+    arm = T[:3, :3] @ middle
+    r = se3.difference(seen.T_a_b, se3.compose(T[:3, :3], T[:3, 3] + arm))
+    to_origin = se3.point_jacobian(-arm)
+    least = 1e-5 * np.repeat([model.radius, 1.0], 3)
+    L = np.linalg.inv(seen.covariance + np.diag(least**2))
+    H = to_origin.T @ rest["information"] @ to_origin
+    Lr = L @ r
+    return float(r @ Lr - Lr @ np.linalg.solve(L + H, Lr))
 
 
 def _fall(problem: Problem, evidence: Evidence, answer: np.void, other: np.void) -> float:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import conflicts, modes, outliers, paper, solve
@@ -35,7 +34,6 @@ from handsight.correction.problem import (
     descents_at,
     finished,
     is_registered,
-    poses_of,
 )
 from handsight.correction.registration import register
 from handsight.correction.skin import SkinEvidence
@@ -44,10 +42,6 @@ from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
-TAIL = 25.0
-"""By how much the prior is widened first where vision may be in the tail of its errors: five sigmas are one then."""
-IN_TAIL = 6.0
-"""Minus two log of the share of vision's poses that are in the tail: one in twenty."""
 LEAST_SIGNS = 3
 """Normals that are too few to say that all are negated."""
 METHODS: dict[str, PaperMethod | None] = {
@@ -147,7 +141,7 @@ def _with_signs(problem: Problem, estimate: PoseEstimate) -> PoseEstimate:
 
 def corrected(problem: Problem, skin: SkinEvidence | None) -> Steps[PoseEstimate]:
     """Returns `correct_pose` of a problem and its skin, by handsight's own method, in steps."""
-    estimate = yield from _solved(problem)
+    estimate = yield from _searched(problem)
     if problem.weight is not None:
         estimate = yield from _weighed(problem, problem.weight, estimate)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
@@ -179,53 +173,6 @@ def problem_of(
     weight = None if weight is None else weight.of(model)
     rows = outside_records(model, contacts, outside, skin)
     return Problem(model, contacts, prior, rows, weight, taxels, skin is not None), skin
-
-
-def _solved(problem: Problem) -> Steps[PoseEstimate]:
-    """Returns the answer to a problem; where an error in vision's tail explains the evidence better than what is found
-    with the declared covariance, with one that is so much larger.
-
-    Vision's errors have heavier tails than a Gaussian, and a prior that is far off drags a pose along all directions in
-    which contacts yield, or makes right contacts wrong. The answer says that the evidence is inconsistent all the same.
-    """
-    found = yield from _searched(problem)
-    vision = problem.vision
-    contradicted = any(conflict.evidence == "vision" for conflict in found.conflicts)
-    wrong = found.outliers and not problem.registered  # of thousands, some always are
-    if vision is None or not (contradicted or wrong):
-        return found
-    excess, in_tail = _tail(problem, _widened(problem, vision, TAIL), found.answer["pose"])
-    by_contacts = float(found.answer["chi2"]) + ACCEPTANCE.decisive * len(found.outliers)
-    if not contradicted and in_tail > by_contacts:
-        return found
-    answer = yield from _searched(_widened(problem, vision, excess))
-    off = conflicts.of_vision(problem, answer)
-    if not contradicted and off.p_value > conflicts.KIND:
-        return answer
-    return replace(answer, consistent=False, conflicts=(off, *answer.conflicts))
-
-
-def _widened(problem: Problem, vision: PosePrior, factor: float) -> Problem:
-    """Returns the problem with vision's covariance so many times as large."""
-    wider = PosePrior.trusted(vision.T_palm_object, factor * vision.covariance)
-    return replace(problem, vision=wider, doubted=False)
-
-
-def _tail(problem: Problem, wide: Problem, start: np.void) -> tuple[float, float]:
-    """Returns by how much vision's covariance is likeliest larger, at least 1, and what the answer with all contacts
-    then costs, where a descent from a POSE leads with the `wide` one.
-
-    With χ² = q of k degrees of freedom it is s² = q / k times as large, which costs q / s² + 2 k log s, and that it is
-    in the tail at all.
-    """
-    answer, _ = conflicts.descended(wide, problem.everyone, start)
-    at = poses_of(answer)[None]
-    rise = solve.cost(problem, at, problem.everyone) - solve.cost(wide, at, problem.everyone)
-    off = float(rise[0]) * TAIL / (TAIL - 1)
-    freedom = conflicts.prior_freedom(problem, int(answer["rows"]))
-    excess = max(off / freedom, 1.0)
-    by_vision = off / excess + freedom * float(np.log(excess)) + IN_TAIL
-    return excess, float(answer["chi2"]) - off / TAIL + by_vision
 
 
 def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS) -> Steps[PoseEstimate]:
@@ -343,7 +290,7 @@ def _weighed(problem: Problem, weight: WeightEvidence, estimate: PoseEstimate) -
     with_weight = replace(estimate, weight_fits=True)
     if estimate.consistent and not contradicted:
         return with_weight
-    without = yield from _solved(replace(problem, weight=None))
+    without = yield from _searched(replace(problem, weight=None))
     named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
     elsewhere = not estimate.consistent and not without.consistent
     # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.

@@ -135,9 +135,6 @@ def log_evidence(model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -
     log_spread = float(row["posterior_cost"] - row["chi2"]) / used
     log_weight -= 0.5 * len(estimate.outliers) * (ACCEPTANCE.decisive + log_spread)
     log_weight -= 0.5 * CONTRADICTS * (estimate.weight_fits is False)
-    for conflict in estimate.conflicts:  # the correction has widened a prior that touch contradicts
-        if conflict.evidence == "vision":
-            log_weight -= 0.5 * max(conflict.chi2 - conflict.freedom, 0.0)
     information = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
     for spin in tangents(model.symmetries, prior.T_palm_object):  # about which a prior says nothing
         along = information @ spin

@@ -11,7 +11,7 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, scale_turns
-from handsight._kernels.math.normal_equations import add_six_rows
+from handsight._kernels.math.normal_equations import add_six_rows, scaled
 from handsight._kernels.math.so3 import IDENTITY, log_derivative, rotation_exp, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -37,6 +37,9 @@ from handsight._kernels.math.vec3 import (
     vector,
 )
 from handsight._kernels.records import NO_PRIOR, VISION_PRIOR, WEAK_PRIOR
+
+IN_TAIL = 6.0
+"""Minus two log of the share of vision's poses that are in the tail of its errors: one in twenty."""
 
 
 @inner
@@ -176,19 +179,58 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     turn, D = turn_between(prior, pose[0])
     D = scale33(D, 1 / frame[1])
     still = (0.0, 0.0, 0.0)
+    by_shift = point_rows(pivot, off, frame)
     by_turn = still + D[0] + (turn[0],), still + D[1] + (turn[1],), still + D[2] + (turn[2],)
-    add_six_rows(prior.information, point_rows(pivot, off, frame), by_turn, equations)
+    square = _squared(prior.information, off, turn)
+    cost, weight = _with_tail(prior, square)
+    if weight < 1.0:
+        root = np.sqrt(weight)
+        by_shift = scaled(by_shift[0], root), scaled(by_shift[1], root), scaled(by_shift[2], root)
+        by_turn = scaled(by_turn[0], root), scaled(by_turn[1], root), scaled(by_turn[2], root)
+        equations[6, 6] += cost - weight * square
+    add_six_rows(prior.information, by_shift, by_turn, equations)
 
 
 @inner
-def prior_cost(prior: Any, pose: Pose) -> float:
-    """Returns the prior's squared residuals at a pose; 0 where there is none."""
+def _with_tail(prior: Any, square: float) -> tuple[float, float]:
+    """Returns what squared residuals of the prior cost, and their weight: those of vision as declared or, where that
+    is likelier, in the tail of its errors.
+
+    There its covariance is so much larger, by a factor s², as is likeliest: that of χ² = q with k degrees of freedom is
+    q / k. It costs q / s² + k log s², and that vision is in its tail at all.
+    """
+    freedom = 6.0 - prior.has_axis
+    excess = square / freedom
+    if prior.kind != VISION_PRIOR or excess <= 1.0:
+        return square, 1.0
+    in_tail = freedom * (1.0 + np.log(excess)) + IN_TAIL
+    if square <= in_tail:
+        return square, 1.0
+    return in_tail, 1.0 / excess
+
+
+@inner
+def _squared(information: Any, off: Vec3, turn: Vec3) -> float:
+    """Returns the squared length of six residuals."""
+    A, B, D = block(information, 0, 0), block(information, 0, 3), block(information, 3, 3)
+    return dot(off, add(mul(A, off), scale(mul(B, turn), 2.0))) + dot(turn, mul(D, turn))
+
+
+@inner
+def prior_square(prior: Any, pose: Pose) -> float:
+    """Returns the prior's squared residuals at a pose, as declared; 0 where there is none."""
     if prior.kind == NO_PRIOR:
         return 0.0
     _, off = point_off(prior.pivot_object, prior.pivot_palm, pose)
     turn, _ = turn_between(prior, pose[0])
-    A, B, D = block(prior.information, 0, 0), block(prior.information, 0, 3), block(prior.information, 3, 3)
-    return dot(off, add(mul(A, off), scale(mul(B, turn), 2.0))) + dot(turn, mul(D, turn))
+    return _squared(prior.information, off, turn)
+
+
+@inner
+def prior_cost(prior: Any, pose: Pose) -> float:
+    """Returns minus two log of the prior's density at a pose, up to a constant."""
+    cost, _ = _with_tail(prior, prior_square(prior, pose))
+    return cost
 
 
 @inner

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import about_point
+from handsight._kernels.evidence.prior_term import about_point, prior_square
 from handsight._kernels.evidence.terms import Evidence, walls_met
 from handsight._kernels.jit import inner
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, in_metres, solve
@@ -263,7 +263,8 @@ def summarize(evidence: Evidence, pose: Pose, row: Any, flat: Any) -> None:
     row.chi2, row.posterior_cost = chi2, cost
     row.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
     row.gain = largest_gain(evidence, u)
-    row.prior_gain, row.outside_gain = group_gain(evidence, u.prior, u), group_gain(evidence, u.walls, u)
+    row.prior_gain = max(group_gain(evidence, u.prior, u), prior_square(evidence.prior, pose))
+    row.outside_gain = group_gain(evidence, u.walls, u)
     row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
     _shape(evidence, pose, row, flat, u)
     least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (CALIBRATION.open_sigma * model.radius) ** 2

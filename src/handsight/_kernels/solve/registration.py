@@ -19,7 +19,7 @@ from handsight._kernels.evidence.contact_term import (
     surface_at,
     whiten,
 )
-from handsight._kernels.evidence.prior_term import about_point
+from handsight._kernels.evidence.prior_term import about_point, prior_square
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, WALLS, Evidence, add_evidence, walls_met
 from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.dense6 import eigen, factor, in_metres, scale_turns, solve
@@ -354,10 +354,8 @@ def _summarize(
     answer.rows = round(rows)
     answer.gain = 0.0
     answer.walls = walls_met(evidence, pose) if u.walls[6, 6] > 0 else 0
-    answer.prior_gain, answer.outside_gain = (
-        group_gain(evidence, u.prior, u),
-        group_gain(evidence, u.walls, u),
-    )
+    answer.prior_gain = max(group_gain(evidence, u.prior, u), prior_square(evidence.prior, pose))
+    answer.outside_gain = group_gain(evidence, u.walls, u)
     answer.open_count = unobservable(model, u.by_touch, pose, answer.unobservable, u)
     in_metres(answer.information, model.radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)
