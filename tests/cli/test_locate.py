@@ -443,6 +443,9 @@ def test_a_person_at_a_terminal_gets_a_table(frames, monkeypatch, capsys):
     assert "{" not in out
 
 
+TWO_BRICKS = ("--object", "7*2", "--object", "3")
+
+
 @pytest.fixture
 def crowd(tmp_path):
     """A BOP scene of a letter and two equal bricks that touch it, and of the table alone; and the true poses."""
@@ -453,7 +456,7 @@ def crowd(tmp_path):
 def test_each_object_that_is_there_is_answered_once(crowd, asked):
     """Two equal bricks are two answers, at two places, in JSON and in BOP's lines."""
     scene, truths = crowd
-    first, second = answers(asked("locate", scene, "--plot", "all.png")[0])
+    first, second = answers(asked("locate", scene, *TWO_BRICKS, "--plot", "all.png")[0])
     assert sorted(each["object"] for each in first["objects"]) == SHOWN[:1] + 2 * SHOWN[1:2]
     assert first["found"]
     assert first["missing"] == {}
@@ -470,7 +473,7 @@ def test_each_object_that_is_there_is_answered_once(crowd, asked):
     assert np.linalg.norm(np.subtract(*bricks)) > 0.05
     assert (second["found"], second["objects"], set(second["missing"])) == (False, [], {*SHOWN[:2]})
     assert (scene.parents[2] / "all.png").read_bytes().startswith(b"\x89PNG")
-    asked("locate", scene, "-o", "all.csv")
+    asked("locate", scene, *TWO_BRICKS, "-o", "all.csv")
     with open(scene.parents[2] / "all.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["im_id"], row["obj_id"]) for row in sorted(rows, key=lambda row: row["obj_id"])] == [
@@ -486,8 +489,8 @@ def test_there_are_as_many_as_are_declared_at_most(crowd, asked, tmp_path):
         row, *_ = answers(asked("locate", scene, *options)[0])
         return sorted(each["object"] for each in row["objects"])
 
-    assert found("--object", "7*1", "--object", "3") == SHOWN[:2]
-    assert found("--object", "7*2", "--object", "3") == SHOWN[:1] + 2 * SHOWN[1:2]
+    assert found() == found("--object", "7*1", "--object", "3") == SHOWN[:2]
+    assert found(*TWO_BRICKS) == SHOWN[:1] + 2 * SHOWN[1:2]
     targets = [
         {"scene_id": 48, "im_id": 0, "obj_id": number, "inst_count": count}
         for number, count in ((3, 1), (7, 2))
@@ -506,7 +509,8 @@ def test_the_table_has_a_row_for_each_object(crowd, monkeypatch, capsys):
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
-    assert called(monkeypatch, crowd[0].parents[2], "locate", crowd[0], columns=140) == 0
+    given = ("locate", crowd[0], *TWO_BRICKS)
+    assert called(monkeypatch, crowd[0].parents[2], *given, columns=140) == 0
     out, said = capsys.readouterr()
     assert len(re.findall(r"obj_000007 .* [01]\.\d\d", out)) == 2
     assert len(re.findall(r"obj_000003 .* [01]\.\d\d", out)) == 1

@@ -257,3 +257,16 @@ def test_counts_without_a_scale_are_refused_with_the_surfaces_name(can, taxels):
     counts = replace(observations[-1], skin={name: 1e4 * observations[-1].skin[name]})
     with refused(InvalidInput, f"observation.skin['{name}']"):
         hs.Tracker(rig, can.model).update(counts)
+
+
+def test_taxels_that_are_pressed_from_the_first_reading_on_are_told(can, taxels):
+    """Their offsets are unknown: a recording, or a node, begins with the hand closed."""
+    rig, _, observations = taxels
+    pressed = [each for each, held in zip(observations, can.observations, strict=True) if held in can.held]
+    tracker = followed(rig, can.model, pressed)
+    assert tracker.state == "uncertain"
+    assert tracker.skin.unzeroed
+    assert all(name in tracker.reason for name in tracker.skin.unzeroed)
+    assert "offset" in tracker.reason
+    opened = followed(rig, can.model, observations)
+    assert not opened.skin.unzeroed

@@ -47,8 +47,7 @@ def locate(
             "--object",
             metavar="NAME|FILE[*N]",
             help="Name of an object of the library or, for a recording, of its rig; or a mesh file. Given several "
-            "times: find each that is there; not given: each of all in the rig or the library. `NAME*2`: at most two "
-            "such.",
+            "times: find each that is there, once; not given: all of the rig or the library. `NAME*2`: two at most.",
         ),
     ] = None,
     which: Annotated[
@@ -155,7 +154,8 @@ def locate(
     handsight locate depth.png --library lab/ --box 200,120,420,400 --which
     ```
 
-    Several objects are explained together, each pixel by one of them at most. `--which` recognises the one object in
+    Several objects are explained together, each pixel by one of them at most. Each is there once at most, or as often
+    as `can*2` says. `--which` recognises the one object in
     the image, or in a detector's box.
 
     An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),

@@ -25,7 +25,7 @@ from handsight.rig import MountedCamera, Rig
 from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.continuity import CONFIRM_AFTER, disputed
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
+from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState, slid
 from handsight.tracking.hand_outside import LINK_CHECK_PERIOD, HandOutside
 from handsight.tracking.hypotheses import RELEVANT_WEIGHT, ambiguity, with_others
 from handsight.tracking.images import ImageVision, ObjectInImages
@@ -36,7 +36,7 @@ from handsight.tracking.runner import CORRECTED, Runner, steps_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import MAX_PROPAGATION, STILL, PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState
 from handsight.vision import FirstPoseSource, locate
@@ -141,8 +141,7 @@ class Follower:
         """Returns the largest standard deviation of the position of the object's middle [m]; infinite before a pose."""
         last = state.correction
         if last is not None:
-            since = min(self.settings.process_noise_position**2 * (state.stamp - last.stamp), MAX_PROPAGATION)
-            return math.sqrt(last.variance + since)
+            return math.sqrt(last.variance + self._motion_since(last, state)[0])
         if state.estimate is None:
             return math.inf
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
@@ -232,18 +231,18 @@ class Follower:
 
     def _predict(self, state: _Next, T_world_palm: Array | None, stamp: float) -> None:
         """Propagates the smoother to `stamp`, and through changes of the grasp."""
-        if state.smoother is not None:
-            if not state.grasp.grasped and T_world_palm is not None and state.T_world_palm is not None:
-                # An object that is not grasped stays in the world while the palm moves.
-                state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
-            if stamp > state.stamp > -math.inf:
-                seconds = stamp - state.stamp
-                state.smoother = state.smoother.inflated(self.process_noise * seconds, seconds)
-        if T_world_palm is not None:
-            state.T_world_palm = T_world_palm
-        state.stamp, fingers = stamp, state.fingertips.fingers
+        before = state.grasp
+        fingers = state.fingertips.fingers
+        palm = state.T_world_palm if T_world_palm is None else T_world_palm
+        state.grasp, change = before.after(fingers, stamp, palm)
+        if T_world_palm is not None and state.T_world_palm is not None:
+            self._carry(state, before, state.T_world_palm, T_world_palm)
+        if state.smoother is not None and stamp > state.stamp > -math.inf:
+            seconds = stamp - state.stamp
+            state.smoother = state.smoother.inflated(self.process_noise * seconds, seconds)
+        state.T_world_palm = palm
+        state.stamp = stamp
         state.memory = state.memory.after(fingers, state.fingertips.contacts, stamp)
-        state.grasp, change = state.grasp.after(fingers, stamp, state.T_world_palm)
         if change == "grasped":
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
@@ -255,6 +254,22 @@ class Follower:
         if state.slip.now.slipping:
             state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
+
+    def _carry(self, state: _Next, before: GraspState, T_before: Array, T_now: Array) -> None:
+        """Moves the object's pose in the palm as the palm moves in the world, where the object does not move with it:
+        one that is not grasped stays where it is, and one that stands on the table keeps its height and its tilt."""
+        if np.array_equal(T_before, T_now) or (before.grasped and not self._stands(state, before)):
+            return
+        motion = slid(T_before, T_now) if before.grasped else EYE
+        T_new_old = se3.inverse(T_now) @ motion @ T_before
+        if state.smoother is not None:
+            state.smoother = state.smoother.transformed(T_new_old)
+        if state.table is not None:
+            state.table = state.table.transformed(T_new_old, T_now)
+
+    def _stands(self, state: TrackState, before: GraspState) -> bool:
+        """Returns whether a grasped object still stands on the table."""
+        return self.rig.table is not None and not (before.lifted or state.grasp.lifted)
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
@@ -335,12 +350,18 @@ class Follower:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        return bool(have_moved(state.fingertips.records, last.records, MOVED, math.cos(TURNED)))
+        if have_moved(state.fingertips.records, last.records, MOVED, math.cos(TURNED)):
+            return True
+        if last.T_world_palm is None or state.T_world_palm is None or not self._stands(state, state.grasp):
+            return False
+        T_new_old = se3.inverse(state.T_world_palm) @ slid(last.T_world_palm, state.T_world_palm)
+        off = se3.difference(T_new_old @ last.T_world_palm, EYE)
+        return bool(np.linalg.norm(off[:3]) > MOVED or np.linalg.norm(off[3:]) > TURNED)
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
         noise = process_variance(self.process_noise, state.stamp - last.stamp)
-        return noise if state.fingertips.fingers in (last.fingers, ()) else noise + self.regrasp_noise
+        return noise + self.regrasp_noise if state.grasp.changed > last.stamp else noise
 
     def _continued(self, state: _Next, progress: Progress, elapsed: float) -> None:
         """Continues a correction; once it has ended, what it has found replaces what the state had before."""
@@ -454,6 +475,7 @@ class Follower:
             fingers=touch.fingers,
             stamp=now,
             variance=variance,
+            T_world_palm=state.T_world_palm,
             skin=skin,
             modes=modes,
             searched_at=searched_at,
@@ -529,6 +551,8 @@ class Follower:
         if not estimate.consistent:
             reason = "the contacts do not fit the object at its estimated pose"
             return "uncertain", f"{reason}: {other}" if other else reason
+        if unzeroed := ", ".join(state.skin.unzeroed):
+            return "uncertain", f"skin {unzeroed}: pressed since its first readings: its offset is unknown"
         if doubt := state.weight.doubt:
             return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.tracking.smoother import process_variance
@@ -24,47 +25,58 @@ MIN_FINGERS = 2  # so many fingers that stay hold the object in place while othe
 class GraspState:
     """Says whether the object is grasped and lifted."""
 
-    grasped: bool = False
-    lifted: bool = False
-    """Whether the palm has risen by `LIFTED_HEIGHT` since the grasp."""
-    fingers: frozenset[str] = frozenset()
-    """The fingers that touched last."""
-    touched_at: float = -math.inf
-    """When any finger last touched [s]."""
+    touched: Mapping[str, float] = field(default_factory=dict)
+    """By finger that holds the object, when it last touched [s]."""
     lowest: float | None = None
     """Lowest height of the palm in the world since the grasp [m]; None where it is unknown."""
+    lifted: bool = False
+    """Whether the palm is higher by `LIFTED_HEIGHT` or more."""
     since: float = -math.inf
     """When the object was last grasped or released [s]."""
+    changed: float = -math.inf
+    """When the object may have moved last, as it was grasped, regrasped or released [s]."""
+
+    @property
+    def grasped(self) -> bool:
+        """Whether any finger holds the object."""
+        return bool(self.touched)
 
     def after(
         self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
     ) -> tuple["GraspState", GraspChange | None]:
         """Returns the state after an observation in which `fingers` touch, and the change of the grasp, if any.
 
-        "regrasped" means that so few of the fingers have stayed that the object may have moved.
+        A finger has let go once it has not touched for `RELEASE_AFTER`. "regrasped" means that so few of the fingers
+        have stayed that the object may have moved.
         """
-        now = frozenset(fingers)
-        grasped = self.grasped
-        lowest = self.lowest
-        touched_at = stamp if now else self.touched_at
+        touched = {**self.touched, **dict.fromkeys(fingers, stamp)}
+        touched = {name: at for name, at in touched.items() if stamp - at <= RELEASE_AFTER}
         change: GraspChange | None = None
-        if grasped and stamp - touched_at > RELEASE_AFTER:
-            grasped = False
-            lowest = None
-            change = "released"
-        elif now and not grasped:
-            grasped = True
-            change = "grasped"
-        elif now and now != self.fingers and len(now & self.fingers) < MIN_FINGERS:
+        if bool(touched) != self.grasped:
+            change = "grasped" if touched else "released"
+        elif (
+            touched.keys() != self.touched.keys() and len(touched.keys() & self.touched.keys()) < MIN_FINGERS
+        ):
             change = "regrasped"
-        lifted = grasped and self.lifted
-        if grasped and T_world_palm is not None:
+        lowest = self.lowest if touched and self.grasped else None
+        lifted = self.lifted and bool(touched)
+        if touched and T_world_palm is not None:
             height = float(T_world_palm[2, 3])
             lowest = height if lowest is None else min(lowest, height)
             lifted = height >= lowest + LIFTED_HEIGHT
-        last = now if now or change == "released" else self.fingers
-        since = self.since if grasped == self.grasped else stamp
-        return GraspState(grasped, lifted, last, touched_at, lowest, since), change
+        since = stamp if change in ("grasped", "released") else self.since
+        changed = self.changed if change is None else stamp
+        return GraspState(touched, lowest, lifted, since, changed), change
+
+
+def slid(T_before: Array, T_now: Array) -> Array:
+    """Returns the motion (4, 4) in the world of an object that a palm slides over a table: as the palm's, from its pose
+    T_world_palm (4, 4) before to that now, but at the same height and without tilt."""
+    turn = T_now[:3, :3] @ T_before[:3, :3].T
+    yaw = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    R = se3.rotation_exp(np.array([0.0, 0.0, yaw]))
+    there = np.array([*T_now[:2, 3], T_before[2, 3]])
+    return se3.compose(R, there - R @ T_before[:3, 3])
 
 
 class LastContact(NamedTuple):

@@ -46,7 +46,7 @@ REJECTED = 0.5
 SUSPICIOUS = 0.6
 """The object may be another one once contacts contradicted the model for a larger share of the window: that is for
 about a second, in which two searches from wider priors have failed."""
-ONE_FINGER = 0.01
+ONE_FINGER = 0.005
 """Level at which one finger alone contradicts the model: so many honest ones are that far off (`contradicted`). One
 that contradicts the others less may be calibrated badly as well."""
 

@@ -19,7 +19,7 @@ class TrackerSettings:
 
     rate: float | None = None
     """Corrections per second while something is touched, even if nothing has changed; None: only after a change."""
-    process_noise_position: float = 0.002
+    process_noise_position: float = 0.001
     """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
     of time. Objects between simulated tips move by millimetres while they are lifted, and creep afterwards."""
     process_noise_rotation: float = float(np.deg2rad(3))

@@ -90,6 +90,8 @@ class SkinContacts:
     """By finger, the surface on its tip that is touched: its strongest patch is the finger's contact."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
     """By the name of the load sensor that a fingertip's taxels are, the wrench (6,) on them, see `SkinTouch.wrench`."""
+    unzeroed: tuple[str, ...] = ()
+    """Surfaces that are pressed and have been since their first readings, so that their offsets are unknown."""
 
     @property
     def pressed(self) -> bool:
@@ -185,6 +187,7 @@ class SkinSensors:
         watched = dict(before.watched)
         tips = dict[str, str]()
         wrenches = dict[str, Array]()
+        unzeroed = list[str]()
         joints = observation.joint_positions
         for name, surface in self.rig.skin.items():
             if name not in observation.skin:
@@ -206,6 +209,8 @@ class SkinSensors:
                 strongest = touch.rise[touch.states[0] > LOW, -1]  # without filled taxels
                 if not strongest.max(initial=0.0) >= SURE_THRESHOLDS * surface.threshold:  # they are offsets
                     touch = surface.sensed(readings, known.baseline + touch.rise[:-1])
+            if len(touch.patches) and not surface.is_zeroed and known.count < TAXELS.min_rest:
+                unzeroed.append(name)
             touches[name] = touch, LinkPose(self._chains[name], joints, self._errors[name])
             if finger is not None:
                 link = self._links[name]
@@ -214,4 +219,4 @@ class SkinSensors:
                 other = touches[tips[finger]][0] if finger in tips else None
                 if other is None or other.patches["total"].max() < touch.patches["total"].max():
                     tips[finger] = name
-        return SkinContacts(touches, watched, tips, wrenches)
+        return SkinContacts(touches, watched, tips, wrenches, tuple(unzeroed))

@@ -201,6 +201,13 @@ class TableEvidence:
         priors = tuple(each.now.spread(moved) for each in smoothers)
         return replace(self, priors=priors, moved=self.moved + moved)
 
+    def transformed(self, T_new_old: Array, T_world_palm: Array) -> "TableEvidence":
+        """Returns the evidence after the palm moved by T_new_old (4, 4), to its pose in the world (4, 4), while the
+        object kept its height and tilt."""
+        priors = tuple(prior.transformed(T_new_old) for prior in self.priors)
+        moved = se3.rotate_covariance(T_new_old[:3, :3], self.moved)
+        return replace(self, priors=priors, T_world_palm=T_world_palm, moved=moved)
+
     def informed(self, vision: PoseBiasSmoother, bias: GaussianPose) -> "TableEvidence":
         """Returns the evidence after vision's bias itself was measured (see `PoseBiasSmoother.informed`)."""
         return replace(self, priors=tuple(vision.with_prior(p).informed(bias).prior for p in self.priors))

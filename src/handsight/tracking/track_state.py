@@ -77,6 +77,8 @@ class Correction:
     """[s]"""
     variance: float
     """Largest variance of the position of the object's middle [m²]."""
+    T_world_palm: Array | None = None
+    """(4, 4) the palm's pose; None where it was not known."""
     skin: SkinContacts = NOTHING
     """What the tactile arrays measured."""
     modes: Sequence[np.void] = ()

@@ -61,9 +61,10 @@ def locate_all(
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> SceneDetection:
-    """Returns every instance of the models (by name) that a depth image shows; images are as `locate` takes them.
+    """Returns the instances of the models (by name) that a depth image shows; images are as `locate` takes them.
 
-    counts: how many there are at most, by name; those without one, or all if it is None, are counted. found: what
+    counts: how many there are at most, by name; of the others, or of all if it is None, one each: a second pose that
+    explains an image as well is more often another place of the same object than a second object. found: what
     `locate` answers in the boxes of a detector, by name, in place of a search for these objects. The likeliest object
     is taken first, and its pixels are then no other's. Raises InvalidInput as `locate` does, for no models, and for
     counts of other objects.
@@ -83,7 +84,7 @@ def locate_all(
     more = True
     while more:
         for name in names:
-            if name not in given and taken[name] < limits.get(name, MAX_INSTANCES):
+            if name not in given and taken[name] < limits.get(name, 1):
                 places.append((name, first_pose(models[name], scene, noise=noise)))
         candidates = [
             ObjectInstance(name, one, explained(models[name], scene, one))
@@ -95,7 +96,7 @@ def locate_all(
             best[each.name] = max(best[each.name], each.detection.probability)
             free = each.pixels & (scene.labels >= 0)
             enough = is_visible(each) and free.sum() >= MIN_FREE * each.pixels.sum()
-            if enough and taken[each.name] < limits.get(each.name, MAX_INSTANCES):
+            if enough and taken[each.name] < limits.get(each.name, 1):
                 instances.append(replace(each, pixels=free))
                 scene = scene.without(free)
                 taken[each.name] += 1

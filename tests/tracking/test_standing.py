@@ -1,0 +1,87 @@
+"""An object that is grasped and not lifted yet stands on the table; a finger that flickers moves nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.rig import Table
+from handsight.tracking import Tracker, TrackerSettings
+from tracking.gripper import BOX, T_PALM_BOX, gripper, observed
+
+TABLE = 0.03
+"""Height of the table on which the gripper's box stands while the palm is at the world's origin [m]."""
+
+
+def standing():
+    """A tracker of the box on the table, grasped by the gripper."""
+    rig = replace(gripper(), table=Table(height=TABLE))
+    start = hs.PosePrior.from_sigmas(T_PALM_BOX, 0.01, 0.05)
+    tracker = Tracker(rig, BOX, start=start, settings=TrackerSettings(rate=50.0))
+    for k in range(20):
+        tracker.update(observed(0.02 * k))
+    return tracker
+
+
+def palm(sinks, tilt, along):
+    """The palm's pose in the world: lower, tilted about the line through both tips, and moved over the table."""
+    return se3.compose(se3.rotation_exp(np.array([tilt, 0.0, 0.0])), np.array([along, 0.3 * along, -sinks]))
+
+
+def base(tracker, T_world_palm):
+    """The lowest corner of the box in the world [m]."""
+    corners = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.045, 0.045) for z in (-0.07, 0.07)])
+    return se3.apply(T_world_palm @ tracker.estimate.T_palm_object, corners)[:, 2].min()
+
+
+@pytest.mark.parametrize("sinks", [-0.004, 0.006])
+def test_what_stands_keeps_its_height_and_tilt_until_the_palm_lifts_it(sinks):
+    tracker = standing()
+    assert abs(base(tracker, np.eye(4)) - TABLE) < 1e-3
+    T = palm(0.0, 0.0, 0.0)
+    for k in range(50):
+        share = (k + 1) / 50
+        T = palm(share * sinks, share * 0.06, share * 0.05)
+        tracker.update(observed(0.4 + 0.02 * k, T_world_palm=T))
+        assert abs(base(tracker, T) - TABLE) < 1.5e-3
+    place = T @ tracker.estimate.T_palm_object
+    assert abs(place[2, 2] - 1) < 1e-3
+    # It slides with the palm, and is lifted with it.
+    assert np.linalg.norm(place[:2, 3] - T[:2, 3]) < 0.01
+    held = tracker.estimate.T_palm_object
+    for k in range(50):
+        T = T.copy()
+        T[2, 3] += 1e-3
+        tracker.update(observed(1.4 + 0.02 * k, T_world_palm=T))
+    lifted = 0.05 + max(-sinks, 0.0) - 0.005
+    assert base(tracker, T) - TABLE == pytest.approx(lifted, abs=2e-3)
+    assert np.linalg.norm(tracker.estimate.T_palm_object[:3, 3] - held[:3, 3]) < 0.01
+
+
+def test_a_finger_that_flickers_is_no_regrasp():
+    """It touches in every other observation for two seconds: the pose is as certain as if it touched in all."""
+    sigmas = []
+    for flickers in (False, True):
+        tracker = standing()
+        for k in range(400):
+            seen = observed(0.4 + 0.005 * k)
+            if flickers and k % 2:
+                seen.wrenches["left"] *= 0.01
+            tracker.update(seen)
+        sigmas.append(tracker.sigma)
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.1)
+
+
+def test_sigma_and_covariance_say_the_same_after_a_regrasp():
+    """A finger that lets go for longer has let go, and the object may have moved."""
+    tracker = standing()
+    before = tracker.sigma
+    for k in range(30):
+        seen = observed(0.4 + 0.02 * k)
+        seen.wrenches["left"] *= 0.01
+        tracker.update(seen)
+    after = tracker.estimate.bounded_covariance[:3, :3]
+    assert tracker.sigma > before
+    assert tracker.sigma == pytest.approx(np.sqrt(np.linalg.eigvalsh(after)[-1]), rel=0.1)
