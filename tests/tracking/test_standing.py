@@ -60,6 +60,16 @@ def test_what_stands_keeps_its_height_and_tilt_until_the_palm_lifts_it(sinks):
     assert np.linalg.norm(tracker.estimate.T_palm_object[:3, 3] - held[:3, 3]) < 0.01
 
 
+def test_what_was_lifted_tilts_with_the_palm_however_low_that_is():
+    tracker = standing()
+    for k in range(120):
+        height = 1e-3 * min(k, 20) - 5e-4 * max(k - 60, 0)
+        T = palm(-height, 0.01 * max(k - 20, 0), 0.0)
+        tracker.update(observed(0.4 + 0.02 * k, T_world_palm=T))
+    assert not tracker.track_state.grasp.lifted
+    assert np.linalg.norm(se3.difference(tracker.estimate.T_palm_object, T_PALM_BOX)[3:]) < 0.02
+
+
 def test_a_finger_that_flickers_is_no_regrasp():
     """It touches in every other observation for two seconds: the pose is as certain as if it touched in all."""
     sigmas = []

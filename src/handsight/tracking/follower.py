@@ -269,7 +269,7 @@ class Follower:
 
     def _stands(self, state: TrackState, before: GraspState) -> bool:
         """Returns whether a grasped object still stands on the table."""
-        return self.rig.table is not None and not (before.lifted or state.grasp.lifted)
+        return self.rig.table is not None and not (before.carried or state.grasp.carried)
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""

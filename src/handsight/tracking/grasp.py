@@ -31,6 +31,8 @@ class GraspState:
     """Lowest height of the palm in the world since the grasp [m]; None where it is unknown."""
     lifted: bool = False
     """Whether the palm is higher by `LIFTED_HEIGHT` or more."""
+    carried: bool = False
+    """Whether it has been since the grasp: where the palm is tilted, it may be lower than an object in the air."""
     since: float = -math.inf
     """When the object was last grasped or released [s]."""
     changed: float = -math.inf
@@ -54,19 +56,19 @@ class GraspState:
         change: GraspChange | None = None
         if bool(touched) != self.grasped:
             change = "grasped" if touched else "released"
-        elif (
-            touched.keys() != self.touched.keys() and len(touched.keys() & self.touched.keys()) < MIN_FINGERS
-        ):
-            change = "regrasped"
+        elif touched.keys() != self.touched.keys():
+            staying = touched.keys() & self.touched.keys()
+            change = "regrasped" if len(staying) < MIN_FINGERS else None
         lowest = self.lowest if touched and self.grasped else None
         lifted = self.lifted and bool(touched)
         if touched and T_world_palm is not None:
             height = float(T_world_palm[2, 3])
             lowest = height if lowest is None else min(lowest, height)
             lifted = height >= lowest + LIFTED_HEIGHT
+        carried = lifted or (self.carried and bool(touched))
         since = stamp if change in ("grasped", "released") else self.since
         changed = self.changed if change is None else stamp
-        return GraspState(touched, lowest, lifted, since, changed), change
+        return GraspState(touched, lowest, lifted, carried, since, changed), change
 
 
 def slid(T_before: Array, T_now: Array) -> Array:
