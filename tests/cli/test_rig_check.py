@@ -133,6 +133,15 @@ def test_counts_without_a_scale_are_refused_until_there_is_one(check):
     assert not any("counts?" in line for line in lines)
 
 
+def test_a_pad_that_is_pressed_for_most_of_a_recording_is_touched(check):
+    """Its rest is what it reads least, not what it reads mostly."""
+    readings = 0.01 * np.random.default_rng(0).normal(size=(60, 4, 5))
+    readings[6:, 1:3, 1:4] += 1.0
+    code, lines = check(readings)
+    assert code == 0, lines
+    assert not any("never touched" in line for line in lines if "pad" in line)
+
+
 def test_a_pad_that_nothing_touches_and_taxels_that_never_change_are_remarks(check):
     readings = 0.01 * np.random.default_rng(0).normal(size=(60, 4, 5))
     readings[:, 0, 3] = 0.02

@@ -17,6 +17,8 @@ FEW = 5
 MOST_COUNTS = 4095
 MIN_VALUES = 8
 """Readings of 12 bits whose bytes are swapped are below 4096 once they are swapped again; values that say so."""
+AT_REST = 0.05
+"""Share of a taxel's readings that may be below what it reads at rest: noise, and stray readings."""
 MANY = 0.5
 SELDOM = 0.1
 """An inverted sensor has at least this share of its readings within a tenth of their range below the largest, as at
@@ -148,13 +150,16 @@ def scale_of(surface: TactileSurface) -> float:
 
 
 def rise_of(surface: TactileSurface, read: Readings) -> float:
-    """Returns by how much a taxel reads more along its normal than it does most of the time, scaled."""
+    """Returns by how much a taxel reads more along its normal than at rest, scaled.
+
+    Rest is what it reads least, but for one reading in twenty: an object may be held for most of a recording.
+    """
     scale = scale_of(surface)
     (end,) = normals_of(surface, (read.high if scale > 0 else read.low)[None])
-    normal = normals_of(surface, np.array(read.some))
-    known = np.isfinite(normal).any(axis=0)
-    usual = np.nanmedian(normal[:, known], axis=0)
-    rises = scale * (end[known] - usual)
+    pressed = scale * normals_of(surface, np.array(read.some))
+    known = np.isfinite(pressed).any(axis=0)
+    rest = np.nanquantile(pressed[:, known], AT_REST, axis=0)
+    rises = scale * end[known] - rest
     return float(rises.max(initial=0.0))
 
 
