@@ -293,7 +293,6 @@ def _conflict(
     offset = NOWHERE
     others = "contacts"
     T = poses_of(answer if rest is None else rest)
-    without = _without(problem, used, evidence)[1]
     if isinstance(evidence, int):
         name = f"contact {evidence}"
         offset = offsets[evidence]
@@ -303,8 +302,8 @@ def _conflict(
     elif evidence == "weight" and problem.weight is not None:
         center = se3.apply(T, problem.weight.center_object[None])[0]
         offset = center - problem.weight.center_palm
-    against = [others] if without.any() else []
-    against += [kind for kind in KINDS if kind != evidence and _freedom(problem, used, kind, answer)]
+    kinds = [kind for kind in KINDS if kind != evidence and _freedom(problem, used, kind, answer)]
+    against = ", ".join([others, *kinds])
     fall = max(fall, 0.0)
     freedom = _freedom(problem, used, evidence, answer)
-    return Conflict(name, ", ".join(against), fall, freedom, modes.chi2_survival(fall, freedom), offset)
+    return Conflict(name, against, fall, freedom, modes.chi2_survival(fall, freedom), offset)
