@@ -117,10 +117,12 @@ def _prior(model, constraints, descents, equations):
     return prior_term.prior_cost(term, pose)
 
 
-def same_equations(equations, r, J, rtol=2e-5):
-    """Whether [H g; gᵀ c] are of residuals and their Jacobian, each number in units of its row and column."""
+def same_equations(equations, r, J, rtol=2e-5, more=0.0):
+    """Whether [H g; gᵀ c] are of residuals and their Jacobian, each number in units of its row and column; `more`: the
+    cost beside the residuals' squares."""
     whole = np.column_stack([J, r])
     expected = whole.T @ whole
+    expected[6, 6] += more
     size = np.sqrt(np.maximum(np.diagonal(expected), 1e-9 * np.diagonal(expected).max()))
     scale = size[:, None] * size
     np.testing.assert_allclose(equations[:, :7] / scale, expected / scale, rtol=0, atol=rtol)
@@ -157,12 +159,14 @@ def test_normal_equations_are_those_of_the_residuals(name, kind, away):
         )
         np.testing.assert_allclose(center, given.contacts.points_palm.mean(axis=0), atol=1e-12)
 
-        def function(pose, given=given, T_weights=T_weights):
-            return oracle.residuals(given, pose, T_weights)
+        weight, more = oracle.tail(given, T)
+
+        def function(pose, given=given, T_weights=T_weights, weight=weight):
+            return oracle.residuals(given, pose, T_weights, by_vision=weight)
 
         J = oracle.jacobian(function, T, center) / np.repeat([1.0, radius], 3)
         # Beyond the grid of a mesh's own error the kernel stops a thousandth of a cell short.
-        same_equations(equations, function(T), J, 5e-4 if name == "egg" else 2e-5)
+        same_equations(equations, function(T), J, 5e-4 if name == "egg" else 2e-5, more)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -187,17 +191,18 @@ def test_the_cost_is_minus_two_log_of_the_density(name, kind):
 
 @pytest.mark.parametrize("name", ["box", "can", "ball"])
 @pytest.mark.parametrize("angle", [0.0, 1e-10, 1e-4, 0.3, 2.0, 3.0, np.pi - 1e-4])
-def test_a_prior_is_quadratic_in_the_pivots_shift_and_the_turn(name, angle):
+def test_a_prior_is_quadratic_in_the_pivots_shift_and_the_turn_up_to_its_tail(name, angle):
     for seed in range(4):
         given, rng = problem(name, seed, wide=True), np.random.default_rng(seed)
         axis = rng.normal(size=3)
         step = np.r_[0.03 * rng.normal(size=3), angle * axis / np.linalg.norm(axis)]
         T, equations = se3.moved(given.vision.T_palm_object, step), np.empty((7, 8))
         cost = _prior(given.model.record.model, given.constraints, descents_at(T[None]), equations)
+        weight, more = oracle.tail(given, T)
         r = oracle.of_prior(given, T)
-        assert cost == pytest.approx(r @ r, rel=1e-7, abs=1e-9)
+        assert cost == pytest.approx(weight * (r @ r) + more, rel=1e-7, abs=1e-9)
         J = oracle.jacobian(lambda pose, given=given: oracle.of_prior(given, pose), T, np.zeros(3))
-        same_equations(equations, r, J)
+        same_equations(equations, np.sqrt(weight) * r, np.sqrt(weight) * J, more=more)
 
 
 def test_a_prior_knows_nothing_of_a_spin_about_an_axis_that_misses_the_origin():

@@ -1,8 +1,10 @@
 """A correction's evidence in plain NumPy, one pose at a time and without derivatives: what its kernels are judged by."""
 
 import numpy as np
+from scipy.stats import multivariate_normal, multivariate_t
 
 from handsight import se3
+from handsight._kernels.evidence import prior_term
 from handsight._kernels.evidence.outside_term import POWER
 from handsight.checks import Array
 from handsight.correction.problem import Problem
@@ -98,6 +100,29 @@ def of_prior(problem: Problem, T: Array) -> Array:
     return root @ np.concatenate([shift, turn])
 
 
+def tail(problem: Problem, T: Array) -> tuple[float, float]:
+    """The weight of vision's rows, and what they cost beside their weighted squares: 1 and 0, but in the tail of
+    vision's errors, by SciPy's densities of a Student's t and a Gaussian."""
+    if problem.vision is None:
+        return 1.0, 0.0
+    k = 6 - len(problem.model.symmetries.axes)
+    none = np.zeros(k)
+    student = multivariate_t(none, df=prior_term.TAIL_FREEDOM)
+    peak = multivariate_normal(none).logpdf(none)
+
+    def cost(square: float) -> float:
+        there = np.r_[np.sqrt(square), none[1:]]
+        return float(prior_term.IN_TAIL - 2 * (student.logpdf(there) - peak))
+
+    r = of_prior(problem, T)
+    square = float(r @ r)
+    if cost(square) >= square:
+        return 1.0, 0.0
+    step = 1e-4 * square
+    weight = (cost(square + step) - cost(square - step)) / (2 * step)
+    return weight, cost(square) - weight * square
+
+
 def of_outside(problem: Problem, T: Array, power: int = POWER) -> Array:
     """Residuals (links,) of the hand: the norm of how deep a link's points are, in their deviations."""
     rows = problem.outside
@@ -118,18 +143,25 @@ def of_weight(problem: Problem, T: Array) -> Array:
     return root @ (se3.apply(T, weight.center_object[None])[0] - weight.center_palm)
 
 
-def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
-    """All of them, whitened as at `T_weights`, which is `T` where not given."""
+def residuals(
+    problem: Problem,
+    T: Array,
+    T_weights: Array | None = None,
+    used: Array | None = None,
+    by_vision: float = 1.0,
+) -> Array:
+    """All of them, whitened as at `T_weights`, which is `T` where not given; vision's with a weight."""
     weights = T if T_weights is None else T_weights
     touch = of_contacts(problem, T, weights, used).reshape(-1)
-    sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
+    sight = np.empty(0) if problem.vision is None else np.sqrt(by_vision) * of_prior(problem, T)
     return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T)])
 
 
 def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:
     """Minus two log of the density, up to a constant; blind, with the weak prior on the center's position."""
-    r = residuals(problem, T, used=used)
-    total = r @ r + log_spread(problem, T, used)
+    by_vision, more = tail(problem, T)
+    r = residuals(problem, T, used=used, by_vision=by_vision)
+    total = r @ r + more + log_spread(problem, T, used)
     if problem.vision is None:
         center = se3.apply(T, problem.model.center_object[None])[0]
         off = (center - problem.contacts.points_palm.mean(axis=0)) / problem.model.radius

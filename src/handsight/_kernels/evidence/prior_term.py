@@ -4,6 +4,7 @@ The six residuals are the shift of a pivot, which is a point that no declared sy
 the turn. For an object with a declared axis the turn is the swing of the axis alone: a spin about it costs nothing.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,11 @@ from handsight._kernels.records import NO_PRIOR, VISION_PRIOR, WEAK_PRIOR
 
 IN_TAIL = 6.0
 """Minus two log of the share of vision's poses that are in the tail of its errors: one in twenty."""
+TAIL_FREEDOM = 4.0
+"""Degrees of freedom of the tail's Student's t. With fewer its own mass would be large where contacts leave much
+open."""
+LEAST_IN_TAIL = 15.0
+"""Squared residuals up to which none is in the tail, however many are measured."""
 
 
 @inner
@@ -193,20 +199,21 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
 
 @inner
 def _with_tail(prior: Any, square: float) -> tuple[float, float]:
-    """Returns what squared residuals of the prior cost, and their weight: those of vision as declared or, where that
+    """Returns what squared residuals q of the prior cost, and their weight: those of vision as declared or, where that
     is likelier, in the tail of its errors.
 
-    There its covariance is so much larger, by a factor s², as is likeliest: that of χ² = q with k degrees of freedom is
-    q / k. It costs q / s² + k log s², and that vision is in its tail at all.
+    The tail is Student's t of ν = 4 degrees of freedom with the declared scale, in the k directions that vision
+    measures. Minus two log of its density is c + (ν + k) log(1 + q / ν), with e^(-c / 2) = Γ(2 + k/2) / √2ᵏ times its
+    share, relative to the Gaussian's peak.
     """
-    freedom = 6.0 - prior.has_axis
-    excess = square / freedom
-    if prior.kind != VISION_PRIOR or excess <= 1.0:
+    if prior.kind != VISION_PRIOR or square <= LEAST_IN_TAIL:
         return square, 1.0
-    in_tail = freedom * (1.0 + np.log(excess)) + IN_TAIL
+    freedom = 6.0 - prior.has_axis
+    least = IN_TAIL - 2.0 * math.lgamma(2.0 + freedom / 2) + freedom * np.log(2.0)
+    in_tail = least + (TAIL_FREEDOM + freedom) * np.log(1.0 + square / TAIL_FREEDOM)
     if square <= in_tail:
         return square, 1.0
-    return in_tail, 1.0 / excess
+    return in_tail, (TAIL_FREEDOM + freedom) / (TAIL_FREEDOM + square)
 
 
 @inner
