@@ -224,7 +224,7 @@ def test_a_mean_gets_away_from_a_wall_at_the_maximum():
     contacts, vision, finger = gripped_against_a_finger()
     many = sampled(box(), contacts, vision, 60_000, outside=finger)
     best = hs.correct_pose(box(), contacts, vision=vision, outside=finger)
-    assert best.T_palm_object_maximum[0, 3] > best.T_palm_object[0, 3] + 0.006
+    assert best.T_palm_object_maximum[0, 3] > 0.006
     assert best.T_palm_object[0, 3] == pytest.approx(many.T_palm_object[0, 3], abs=2e-3)
     assert many.T_palm_object[0, 3] < 0.0
 

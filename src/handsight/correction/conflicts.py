@@ -20,12 +20,13 @@ from handsight._kernels.solve import batch
 from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Mask
 from handsight.correction import modes
-from handsight.correction.estimate import Conflict, PoseEstimate
+from handsight.correction.estimate import Conflict, PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, poses_of
 from handsight.correction.registration import Registration, registered
 from handsight.correction.solve import residuals
 from handsight.gaussian_pose import GaussianPose
+from handsight.objects import ObjectModel
 
 Kind = Literal["vision", "weight", "skin", "outside"]
 Evidence = Kind | int
@@ -114,10 +115,9 @@ def _suspects(problem: Problem, answer: np.void, used: Mask) -> list[Evidence]:
         return []
     n = int(used.sum())
     rows = int(answer["rows"])
-    limits = {
-        "prior_gain": modes.chi2_limit(prior_freedom(problem, rows), KIND),
-        "outside_gain": modes.chi2_limit(1, KIND),
-    }
+    limits = {"outside_gain": modes.chi2_limit(1, KIND)}
+    if not problem.blind:
+        limits["prior_gain"] = modes.chi2_limit(prior_freedom(problem, rows), KIND)
     if not problem.registered:
         limits["gain"] = modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)
     doubtful = [gain for gain, limit in limits.items() if problem.taxels or answer[gain] > limit]
@@ -172,21 +172,21 @@ def _against(problem: Problem, used: Mask, evidence: Evidence, answer: np.void) 
     if not _freedom(problem, used, evidence, answer) or not kept.any():
         return None
     other, offsets = descended(others, kept, answer["pose"])
-    fall = _innovation(problem, other) if evidence == "vision" else _fall(problem, evidence, answer, other)
+    if evidence == "vision" and problem.vision is not None:
+        fall = _innovation(problem.model, problem.vision, other)
+    else:
+        fall = _fall(problem, evidence, answer, other)
     conflict = _conflict(problem, used, evidence, fall, answer, offsets, rest=other)
     return Without(conflict, others, kept, other)
 
 
-def _innovation(problem: Problem, rest: np.void) -> float:
+def _innovation(model: ObjectModel, vision: PosePrior, rest: np.void) -> float:
     """Returns rᵀ (R + P)⁻¹ r of vision's pose and that of the rest, the ANSWER without it.
 
     With R⁻¹ = L and P⁻¹ = H that is rᵀ (L - L (L + H)⁻¹ L) r, as the rest may leave directions open. The residuals r
     are the shift of the object's middle and the turn. No sigma counts as less than 1e-5 of the object's radius, as in
     the solver.
     """
-    vision = problem.vision
-    assert vision is not None
-    model = problem.model
     middle = model.center_object
     T = poses_of(rest)
     T_vision = model.nearest(vision.T_palm_object[None], T)[0]
