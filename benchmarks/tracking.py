@@ -89,8 +89,8 @@ def cpu(name: str, scenario: Scenario) -> list[str]:
         before, begin = tracker.track_state, time.thread_time()
         tracker.update(sample.observation)
         took.append(1e6 * (time.thread_time() - begin))
-        ended, goes_on = tracker.corrections > before.corrections, tracker.track_state.progress is not None
-        stepped = ended or goes_on or before.progress is not None
+        ended = tracker.corrections > before.monitor.corrections
+        stepped = ended or tracker.track_state.search is not None or before.search is not None
         kinds.append("sight" if sample.observation.vision is not None else "step" if stepped else "none")
         if tracker.estimate is not None:
             T = tracker.estimate.T_palm_object

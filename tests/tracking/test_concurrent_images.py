@@ -108,8 +108,8 @@ def test_an_image_from_before_the_grasp_is_left_out_after_it(can, slow, monkeypa
     tracker = hs.Tracker(rig, can.model, settings=SETTINGS, start=start)
     for sample in can.samples[: closing + 5]:
         tracker.update(replace(sample.observation, vision=None, depth=np.zeros((240, 320), np.float32)))
-    since = tracker.track_state.grasp.since
-    assert tracker.track_state.grasp.grasped
+    since = tracker.track_state.belief.grasp.since
+    assert tracker.track_state.belief.grasp.grasped
     elsewhere = PoseMeasurement(np.eye(4), "camera", 1e-6 * np.eye(6), since - 0.01)
     before = tracker.vision.rejected
     for stamp, rejected in ((since - 0.01, before), (since + 0.01, before + 1)):

@@ -9,7 +9,6 @@ from scipy.stats import norm
 import handsight as hs
 from handsight import se3
 from handsight.correction.correct import corrected, problem_of
-from handsight.correction.problem import finished
 from handsight.hand import Hand
 from handsight.rig import Rig
 from handsight.tracking.hand_outside import HandOutside
@@ -47,8 +46,8 @@ def reconciled(hand, contacts, vision):
     def solve(points):
         return corrected(*problem_of(scenes.box(), contacts, vision, points))
 
-    first = finished(solve(outside))
-    return first, finished(hand.reconciled(first, outside, solve))
+    first = solve(outside)
+    return first, hand.reconciled(first, outside, solve)
 
 
 def test_links_move_with_random_joint_errors_as_their_lever_arms_predict(box):

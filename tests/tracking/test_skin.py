@@ -114,6 +114,6 @@ def test_an_object_that_lies_on_the_skin_is_not_weighed(grasp):
         for lifted in [se3.compose(np.eye(3), np.array([0, 0, 1e-4 * k])) @ each.observation.T_world_palm]
     ]
     tracker = followed(risen, replace(RIG, table=None))
-    assert tracker.track_state.grasp.lifted
+    assert tracker.track_state.belief.grasp.lifted
     assert tracker.weight is None
     assert tracker.unweighed == "a link beside the fingertips bears a part of it"

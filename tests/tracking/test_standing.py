@@ -66,7 +66,7 @@ def test_what_was_lifted_tilts_with_the_palm_however_low_that_is():
         height = 1e-3 * min(k, 20) - 5e-4 * max(k - 60, 0)
         T = palm(-height, 0.01 * max(k - 20, 0), 0.0)
         tracker.update(observed(0.4 + 0.02 * k, T_world_palm=T))
-    assert not tracker.track_state.grasp.lifted
+    assert not tracker.track_state.belief.grasp.lifted
     assert np.linalg.norm(se3.difference(tracker.estimate.T_palm_object, T_PALM_BOX)[3:]) < 0.02
 
 

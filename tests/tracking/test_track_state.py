@@ -2,12 +2,13 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from handsight.observation import check_observation
-from handsight.tracking import Tracker, runner
+from handsight.tracking import Tracker
 
 EVERY = 17
 
@@ -32,10 +33,12 @@ def same(one, other):
     assert said(one) == said(other)
 
 
-@pytest.fixture(autouse=True)
-def corrections_go_on(monkeypatch):
-    """One step an update, so that many states are in the middle of a correction."""
-    monkeypatch.setattr(runner, "STEP_EVERY", 0.02)
+FASTER = 0.1
+"""Factor on stamps, so that an update solves one problem, and many states are in the middle of a correction."""
+
+
+def fast(grasp):
+    return [replace(each, stamp=FASTER * each.stamp) for each in grasp.observations]
 
 
 @pytest.fixture(params=["can", "box"])
@@ -45,7 +48,7 @@ def grasp(request):
 
 def test_a_step_is_pure(grasp):
     """A state answers the same however often it is asked and whatever was asked in between, as its pickle does."""
-    tracker, observations = Tracker(grasp.rig, grasp.model), grasp.observations
+    tracker, observations = Tracker(grasp.rig, grasp.model), fast(grasp)
     step = tracker.follower.step
     for k, observation in enumerate(observations[:-2]):
         if k % EVERY == 0:
@@ -55,18 +58,21 @@ def test_a_step_is_pure(grasp):
             step(step(state, other)[0], check_observation(observations[k + 2]))
             for again in (state, pickle.loads(stored)):
                 second, _ = step(again, clean)
-                assert (second.label, second.reason, second.stamp) == (first.label, first.reason, first.stamp)
-                assert (second.smoother is None) == (first.smoother is None)
-                if first.estimate is not None and first.smoother is not None:
+                assert (second.monitor.label, second.monitor.reason) == (
+                    first.monitor.label,
+                    first.monitor.reason,
+                )
+                assert (second.belief.smoother is None) == (first.belief.smoother is None)
+                if first.estimate is not None and first.belief.smoother is not None:
                     assert second.estimate.answer.tobytes() == first.estimate.answer.tobytes()
                     for field in ("T_palm_object", "covariance"):
-                        here, there = (getattr(each.smoother.now, field) for each in (second, first))
+                        here, there = (getattr(each.belief.smoother.now, field) for each in (second, first))
                         np.testing.assert_array_equal(here, there)
         tracker.update(observation)
 
 
 def test_a_tracker_goes_on_from_a_copy_or_a_pickle_as_if_it_had_not_stopped(grasp):
-    tracker, observations = Tracker(grasp.rig, grasp.model), grasp.observations
+    tracker, observations = Tracker(grasp.rig, grasp.model), fast(grasp)
     others = []
     for k, observation in enumerate(observations):
         if k % (2 * EVERY) == 0:
@@ -95,8 +101,8 @@ def test_an_error_midway_leaves_the_tracker_as_it_was(can, monkeypatch):
         tracker.update(observation)
     state, known = tracker.track_state, numbers(tracker)
     with monkeypatch.context() as patch:
-        patch.setattr("handsight.tracking.follower.corrected", lambda *_, **__: 1 / 0)
-        patch.setattr("handsight.tracking.follower.refined", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.search.corrected", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.search.refined", lambda *_, **__: 1 / 0)
         failed = False
         for observation in can.observations[50:]:
             state, known = tracker.track_state, numbers(tracker)

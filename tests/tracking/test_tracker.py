@@ -141,11 +141,11 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.5, wrenches=silent))
-    assert set(tracker.track_state.memory.last) - set(tracker.fingertips.fingers) == {finger}
+    assert set(tracker.track_state.touch.memory.last) - set(tracker.fingertips.fingers) == {finger}
     assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
     tracker.update(later(last, 1.4, wrenches=silent))
     tracker.update(later(last, 1.6, wrenches=silent))
-    assert set(tracker.track_state.memory.last) == set(tracker.fingertips.fingers)
+    assert set(tracker.track_state.touch.memory.last) == set(tracker.fingertips.fingers)
     tracker.update(later(last, 1.7))
     assert finger in tracker.fingertips.fingers
 
@@ -153,15 +153,15 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
-    last_contact = tracker.track_state.memory.last[finger]
+    last_contact = tracker.track_state.touch.memory.last[finger]
     kept, row = last_contact.contacts, last_contact.row
     points = kept.points_palm.copy()
     points[row] += 0.03 * kept.normals_palm[row]
     wrong = hs.Contacts(points, kept.normals_palm, covariance=kept.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker.track_state.memory.last[finger] = last_contact._replace(contacts=wrong)
+    tracker.track_state.touch.memory.last[finger] = last_contact._replace(contacts=wrong)
     tracker.update(later(last, 0.1, wrenches=silent))
-    assert finger not in tracker.track_state.memory.last
+    assert finger not in tracker.track_state.touch.memory.last
 
 
 def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):
@@ -204,7 +204,8 @@ def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
     known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))
     smoother = tracker.smoother.restarted(known)
-    tracker.track_state = replace(tracker.track_state, smoother=smoother, correction=None, table=None)
+    belief = replace(tracker.track_state.belief, smoother=smoother, table=None)
+    tracker.track_state = replace(tracker.track_state, belief=belief, correction=None)
     states = []
     for k in range(1, 40):
         tracker.update(later(last, 0.1 * k))

@@ -29,10 +29,8 @@ from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import (
     MOST_CONTACTS,
     Problem,
-    Steps,
     check_number,
     descents_at,
-    finished,
     is_registered,
 )
 from handsight.correction.registration import register
@@ -114,11 +112,11 @@ def correct_pose(
         final = estimate is None or not may_draw(problem)
         if estimate is not None and final and _fits(problem, estimate):
             return estimate
-        estimate = finished(corrected(replace(problem, doubted=final), None))
+        estimate = corrected(replace(problem, doubted=final), None)
         return _with_signs(problem, estimate)
     problem, skin = problem_of(model, contacts, prior, outside, weight, skin)
     if papers is None:
-        return _with_signs(problem, finished(corrected(problem, skin)))
+        return _with_signs(problem, corrected(problem, skin))
     estimate = _by_paper(problem, papers)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
@@ -129,7 +127,7 @@ def _with_signs(problem: Problem, estimate: PoseEstimate) -> PoseEstimate:
     contacts = problem.contacts
     if estimate.consistent or problem.on_skin or contacts.has_normal.sum() < LEAST_SIGNS:
         return estimate
-    other = finished(corrected(replace(problem, contacts=contacts.negated()), None))
+    other = corrected(replace(problem, contacts=contacts.negated()), None)
     if not other.consistent:
         return estimate
     fall = max(float(estimate.answer["chi2"] - other.answer["chi2"]), 0.0)
@@ -139,11 +137,11 @@ def _with_signs(problem: Problem, estimate: PoseEstimate) -> PoseEstimate:
     return replace(estimate, conflicts=(*estimate.conflicts, wrong))
 
 
-def corrected(problem: Problem, skin: SkinEvidence | None) -> Steps[PoseEstimate]:
-    """Returns `correct_pose` of a problem and its skin, by handsight's own method, in steps."""
-    estimate = yield from _searched(problem)
+def corrected(problem: Problem, skin: SkinEvidence | None) -> PoseEstimate:
+    """Returns `correct_pose` of a problem and its skin, by handsight's own method."""
+    estimate = _searched(problem)
     if problem.weight is not None:
-        estimate = yield from _weighed(problem, problem.weight, estimate)
+        estimate = _weighed(problem, problem.weight, estimate)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
@@ -175,14 +173,14 @@ def problem_of(
     return Problem(model, contacts, prior, rows, weight, taxels, skin is not None), skin
 
 
-def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS) -> Steps[PoseEstimate]:
+def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many; on a tactile array the mean
     of draws, of which `first` are from what the contacts leave open. Without `means`: the maximum in any case."""
     drawn = None
     if problem.on_skin and len(problem.outside) and not problem.blind:
         by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None, on_skin=False)
-        alone = yield from _searched(by_contacts, means=False)
-        drawn = yield from draw(problem, alone.T_palm_object_maximum, alone.information, first)
+        alone = _searched(by_contacts, means=False)
+        drawn = draw(problem, alone.T_palm_object_maximum, alone.information, first)
         problem = replace(problem, starts=drawn[0])
     if problem.registered:
         return _registered(problem)
@@ -190,12 +188,10 @@ def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS)
     if problem.starts is None and not problem.doubted:
         estimate = solve_single_start(problem, mean=integrated)
         if estimate is not None:
-            yield
             return after_draws(problem, estimate) if means else estimate
-    found = yield from outliers.solve_robustly(problem)
+    found = outliers.solve_robustly(problem)
     averaged = drawn if means and found.used.all() else None
     rows = summarize(problem, found, mean=integrated and averaged is None)
-    yield
     if averaged is None:
         estimate = with_means(problem, rows, found.used, means=means)
     else:
@@ -205,7 +201,7 @@ def _searched(problem: Problem, *, means: bool = True, first: int = FIRST_DRAWS)
         complete = C if estimate.answer["complete"] else None
         estimate = estimate.with_gaussian(T, complete, known, solve.residuals(problem, T))
         if not estimate.consistent and first < MORE_DRAWS:
-            other = yield from _searched(problem, means=means, first=MORE_DRAWS)
+            other = _searched(problem, means=means, first=MORE_DRAWS)
             return other if other.answer["chi2"] < estimate.answer["chi2"] else estimate
     left_out = tuple(conflicts.contact_left_out(problem, estimate, i) for i in estimate.outliers)
     return replace(estimate, conflicts=(*estimate.conflicts, *left_out))
@@ -262,11 +258,11 @@ def refine_pose(
     other arguments are those of `correct_pose`. Raises InvalidInput.
     """
     problem, skin = problem_of(model, contacts, vision, outside, weight, skin)
-    return finished(refined(problem, skin, np.asarray(T_start)))
+    return refined(problem, skin, np.asarray(T_start))
 
 
-def refined(problem: Problem, skin: SkinEvidence | None, T_start: Array) -> Steps[PoseEstimate | None]:
-    """Returns `refine_pose` of a problem and its skin, in steps."""
+def refined(problem: Problem, skin: SkinEvidence | None, T_start: Array) -> PoseEstimate | None:
+    """Returns `refine_pose` of a problem and its skin."""
     estimate: PoseEstimate | None
     if problem.registered:
         estimate = _registered(replace(problem, starts=T_start[None]))
@@ -280,17 +276,16 @@ def refined(problem: Problem, skin: SkinEvidence | None, T_start: Array) -> Step
         if problem.weight.contradicts(estimate):
             return None
         estimate = replace(estimate, weight_fits=True)
-    yield
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
-def _weighed(problem: Problem, weight: WeightEvidence, estimate: PoseEstimate) -> Steps[PoseEstimate]:
+def _weighed(problem: Problem, weight: WeightEvidence, estimate: PoseEstimate) -> PoseEstimate:
     """Returns the estimate, or, where all other evidence contradicts the weight, the answer without it."""
     contradicted = weight.contradicts(estimate)
     with_weight = replace(estimate, weight_fits=True)
     if estimate.consistent and not contradicted:
         return with_weight
-    without = yield from _searched(replace(problem, weight=None))
+    without = _searched(replace(problem, weight=None))
     named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
     elsewhere = not estimate.consistent and not without.consistent
     # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.

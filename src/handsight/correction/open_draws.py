@@ -21,7 +21,7 @@ from handsight.checks import Array, Indices
 from handsight.correction import modes
 from handsight.correction.few_contacts import FREEDOM, Mixture
 from handsight.correction.mean import across_axes
-from handsight.correction.problem import Problem, Records, Steps
+from handsight.correction.problem import Problem, Records
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
@@ -39,7 +39,7 @@ KEPT = 12  # likeliest draws that are starts
 
 def draw(
     problem: Problem, T_palm_object: Array, information: Array, first: int
-) -> Steps[tuple[Array, Array, Array]]:
+) -> tuple[Array, Array, Array]:
     """Returns the likeliest poses (k, 4, 4), and the mean (4, 4) and the covariance (6, 6) of the posterior.
 
     It is drawn from around the pose (4, 4) and the information (6, 6) that the contacts alone lead to, along the
@@ -62,7 +62,6 @@ def draw(
         new["index"][:, :d] = mixture.draws(standard)
         new["lateral"] = lateral
         in_parts(partial(batch.visit_all, *given, T, flat), (new,), EACH // 2)
-        yield
         there = sum((m.density(new["index"][:, :d]) for m in mixtures), np.zeros(len(new)))
         mixtures.append(mixture)
         points = np.append(points, new)

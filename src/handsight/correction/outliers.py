@@ -7,7 +7,7 @@ import numpy as np
 from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Indices
 from handsight.correction import modes, starts
-from handsight.correction.problem import Problem, Records, Steps, descents_at
+from handsight.correction.problem import Problem, Records, descents_at
 from handsight.correction.solve import Candidates, solve
 
 MORE_STARTS = 2  # factor on the number of starts when none of the usual ones fits
@@ -25,12 +25,11 @@ ACCEPT_P = 0.05
 """Level of the χ² test that the others must pass without the wrong contact."""
 
 
-def solve_robustly(problem: Problem) -> Steps[Candidates]:
+def solve_robustly(problem: Problem) -> Candidates:
     """Returns the minima of a correction; where none fits, after more starts and with wrong contacts left out."""
     everyone = problem.everyone
     number = starts.usual(problem)
     found = solve(problem, first_starts(problem, number)[None], everyone)
-    yield
     suspicious = _suspicious(problem, found)
     if found.converged and not suspicious:
         return found
@@ -38,7 +37,6 @@ def solve_robustly(problem: Problem) -> Steps[Candidates]:
     if problem.vision is not None and may_draw and len(problem.outside):
         past = replace(problem, starts=starts.past_outside(problem, problem.vision, number))
         found = found.with_more(solve(past, first_starts(past, number)[None], everyone))
-        yield
         suspicious = _suspicious(problem, found)
         if found.converged and not suspicious:
             return found
@@ -47,12 +45,10 @@ def solve_robustly(problem: Problem) -> Steps[Candidates]:
         # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.
         for left_out in _suspects(problem, found) if suspicious else ():
             other = _leave_one_out(problem, found, left_out)
-            yield
             if without is None or other.cost < without.cost:
                 without = other
                 if _better(without, found):
                     again = solve(problem, without.minima[None], found.used)
-                    yield
                     if again.fits(ACCEPT_P):
                         return again
         if without is not None and _better(without, found):
@@ -65,7 +61,6 @@ def solve_robustly(problem: Problem) -> Steps[Candidates]:
             may_draw = False
             drawn = first_starts(problem, MORE_STARTS * number)[None, number:]
             found = found.with_more(solve(problem, drawn, found.used))
-            yield
             suspicious = _suspicious(problem, found)
             if found.cost > cost - MIN_GAIN or not suspicious:
                 return found

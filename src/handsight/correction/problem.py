@@ -1,9 +1,8 @@
 """One correction as a `Problem`, with its inputs checked and as records for the kernels."""
 
-from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,6 @@ from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
 """NumPy structured values of a type in `_kernels/records.py`."""
-
-T = TypeVar("T")
-Steps = Generator[None, None, T]
-"""A computation that pauses every millisecond or so: `finished` runs all of it, a tracker a few steps an update."""
 
 FEW = 64
 """Contacts up to which all of them take part in the search, if none share an error; of more, so many do."""
@@ -106,15 +101,6 @@ class Problem:
 def is_registered(contacts: Contacts) -> bool:
     """Returns whether a correction by these contacts is by registration."""
     return len(contacts.points_palm) > FEW or len(contacts.shared_covariance) > 0
-
-
-def finished(steps: Steps[T]) -> T:
-    """Returns the result of a computation, without a pause."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]
 
 
 def check_number(n: int, most: int, name: str, what: str) -> None:

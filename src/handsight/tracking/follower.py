@@ -1,126 +1,107 @@
-"""One object followed in one hand: its pose is propagated in time, and corrected when there is new evidence."""
-
-# mypy: disable-error-code="misc"
-# A step assigns the fields of its own copy of a state, `_Next`; a `TrackState` is frozen for everybody else.
+"""One object followed in one hand: from the state after one observation to the state after the next."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight._kernels.touch.contacts_to_palm import have_moved
 from handsight.checks import Array
-from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
-from handsight.correction.correct import corrected, problem_of, refined
+from handsight.correction import PoseEstimate, PosePrior, refine_pose
+from handsight.correction.correct import problem_of
 from handsight.correction.estimate import point_uncertainty
-from handsight.correction.outside import outside_records
-from handsight.correction.problem import Steps
+from handsight.errors import InvalidInput
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import MountedCamera, Rig
+from handsight.tracking.answer import Correction
+from handsight.tracking.belief import Belief
+from handsight.tracking.clock import seconds
 from handsight.tracking.concurrent_images import ConcurrentImages
-from handsight.tracking.continuity import CONFIRM_AFTER, disputed
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState, slid
-from handsight.tracking.hand_outside import LINK_CHECK_PERIOD, HandOutside
-from handsight.tracking.hypotheses import RELEVANT_WEIGHT, ambiguity, with_others
+from handsight.tracking.grasp import ContactMemory, GraspChange, slid
+from handsight.tracking.hand_outside import HandOutside
+from handsight.tracking.hypotheses import RELEVANT_WEIGHT, with_others
 from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.measurements import EYE, VisionUpdate
-from handsight.tracking.misfit import NO_INNOVATIONS
-from handsight.tracking.runner import CORRECTED, Runner, steps_in
+from handsight.tracking.judge import CONFIRM_AFTER, accepted, held, judged
+from handsight.tracking.measurements import EYE
+from handsight.tracking.misfit import Innovations
+from handsight.tracking.monitor import NO_POSE, Failure
+from handsight.tracking.search import Solver, Unfinished, solves_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import STILL, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
-from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState
+from handsight.tracking.track_state import Search, Touch, TrackState
 from handsight.vision import FirstPoseSource, locate
 
 INFLATION = 9
 """Factor on the prior's variance when contacts fit no pose near it: the search then starts from several poses."""
 RECOVERY_PERIOD = 0.5
-"""Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
+"""Time between two such searches, and between corrections while something is rejected: each costs as much as a hundred
 others [s]."""
 SEARCH_PERIOD = 3  # between two searches for other modes, where vision brings none about [s]
 RETRY_PERIOD = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
-LOST_WITHOUT_FIT = 2.0  # how long contacts may contradict every pose before the object is lost [s]
 MIN_CONTACTS_TO_LEARN = 3
 """The joints' offsets are learnt from so many contacts or more: fewer determine the pose alone."""
-RENEW_AFTER = 0.02
-"""A propagated covariance is renewed when it is older [s]: in that time it grows by a micrometre or so."""
-
-
+LEAST_HOLD = 0.05
+"""How long fingers must have held an object for what they have told of its pose to stay once it is released [s]: a
+contact of one reading may be noise."""
 MOVED = 0.001
 TURNED = float(np.deg2rad(5))
 """The pose is corrected when a contact has moved by so much in the palm [m], or its normal by so much [rad]."""
-REGRASP_POSITION = 0.005
-REGRASP_ROTATION = float(np.deg2rad(3))
-"""How far the object may be pushed [m] and turned [rad] when a finger comes or goes, one sigma per axis."""
 
 
-class _Next(TrackState):
-    """A `_Next` is the copy of a state that a step changes, field by field, into the next state."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a correction has found; it changes the state of the observation by which the correction ends."""
 
-    def __init__(self, state: TrackState) -> None:
-        # All fields at once: to set one after the other, as a frozen dataclass does, takes three times as long.
-        self.__dict__ = vars(state).copy()
-        self.images, self.slip = state.images.copied(), state.slip.copied()
-        self.weight = state.weight.copied()
-
-    __setattr__ = object.__setattr__
-
-    def frozen(self) -> TrackState:
-        """Returns the next state, as a value; this object must not be changed any more."""
-        state = object.__new__(TrackState)
-        object.__setattr__(state, "__dict__", self.__dict__)
-        return state
+    correction: Correction
+    innovations: Innovations
+    """How well evidence has fitted."""
+    table: TableEvidence | None
+    """The table's evidence, after the supports were compared, if they were."""
+    remedy: Callable[[Belief], Belief] | None = None
+    """What is done to a belief that fits no contacts; None: nothing."""
+    wrong: tuple[str, ...] = ()
+    """Fingers whose remembered contacts contradict the rest."""
 
 
 class Follower:
     """Makes the next state of a track; it holds the robot, the object and the settings, but no state."""
 
     def __init__(
-        self,
-        rig: Rig,
-        model: ObjectModel,
-        settings: TrackerSettings,
-        source: FirstPoseSource = locate,
+        self, rig: Rig, model: ObjectModel, settings: TrackerSettings, source: FirstPoseSource = locate
     ) -> None:
         """The arguments are those of `Tracker`."""
         self.source = source
         self.rig = rig
         self.model = model
         self.settings = settings
-        s = settings
         self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
         self.skin_sensors = SkinSensors(rig)
-        self.hand = HandOutside(rig, model, s.outside)
-        self.process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
+        self.hand = HandOutside(rig, model, settings.outside)
+        sigmas = np.array([settings.process_noise_position, settings.process_noise_rotation])
+        self.process_noise = np.repeat(sigmas**2, 3)
         """(6,) variance of the object's random walk in the palm, per second [m², rad²]."""
-        self.regrasp_noise = np.repeat([REGRASP_POSITION**2, REGRASP_ROTATION**2], 3)
-        """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
         poses = () if rig.table is None else resting_poses(model, model.center_of_mass)
-        self._runner = Runner(self._correct)
         self.supports = supports_of(poses)
         """What may bear the object while it is on the table."""
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
-        vision = VisionUpdate(self.rig, self.model)
         follow = ConcurrentImages if self.settings.concurrent_images else ObjectInImages
         return TrackState(
-            start=start,
-            smoother=_started(vision, start),
-            grasp=GraspState(),
-            memory=ContactMemory(self.settings.memory, self.process_noise),
-            vision=vision,
+            belief=Belief.initial(self.rig, self.model, start, self.process_noise),
             images=ImageVision(self.rig, self.model, self.source, on=self.settings.images, follow=follow),
+            touch=Touch(ContactMemory(self.settings.memory, self.process_noise)),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
@@ -133,25 +114,26 @@ class Follower:
         must have been checked (`handsight.observation.check_observation`), and its stamp must not be older than the
         state's. Raises InvalidInput where something in the observation is wrong.
         """
-        new = _Next(state)
-        estimate = self._follow(new, observation)
-        return new.frozen(), estimate
-
-    def sigma(self, state: TrackState) -> float:
-        """Returns the largest standard deviation of the position of the object's middle [m]; infinite before a pose."""
-        last = state.correction
-        if last is not None:
-            return math.sqrt(last.variance + self._motion_since(last, state)[0])
-        if state.estimate is None:
-            return math.inf
-        return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
+        observation = self._placed(observation)
+        elapsed = seconds(observation.stamp, state.stamp)
+        state = self._touched(state, observation)
+        state = self._predicted(state, observation)
+        state = self._weighed(state, observation)
+        state = self._seen(state, observation)
+        if state.belief.smoother is None:
+            monitor = replace(state.monitor, label="lost", reason=NO_POSE)
+            return replace(state, estimate=None, monitor=monitor), None
+        state = self._corrected(state, elapsed)
+        estimate = self._propagated(state)
+        monitor = judged(self.model, state, estimate, self.settings)
+        return replace(state, estimate=estimate, monitor=monitor), estimate
 
     def table(self, state: TrackState) -> TableEstimate | None:
         """Returns where the table must be, given the object's pose; None before the object was grasped on it."""
-        if state.table is None or state.estimate is None:
+        table = state.belief.table
+        if table is None or state.estimate is None:
             return None
-        drift = process_variance(self.process_noise, state.stamp - state.table.stamp)
-        return state.table.estimated(state.estimate, drift)
+        return table.estimated(state.estimate, self._drift(table, state.stamp))
 
     def joint_offsets(self, state: TrackState) -> JointOffsets:
         """Returns the joints' constant errors, learnt from all grips so far, this one included."""
@@ -165,412 +147,324 @@ class Follower:
             self.model, last.contacts, last.by_error, last.estimate.T_palm_object, last.prior
         )
 
-    def _follow(self, state: _Next, observation: Observation) -> PoseEstimate | None:
-        """Updates the state by an observation, and returns the pose; None before there is one."""
-        joints, stamp = observation.joint_positions, observation.stamp
-        elapsed = stamp - state.stamp
-        if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
-            T = self.rig.hand.T_world_palm(joints)
-            T = se3.check(T, "observation.joint_positions: palm in the world")
-            observation = replace(observation, T_world_palm=T)
+    def _drift(self, table: TableEvidence, stamp: float) -> Array:
+        """Returns the variance (6,) of the object's random walk since it was on the table [m², rad²]."""
+        return process_variance(self.process_noise, seconds(stamp, table.stamp))
 
-        # Contacts, and the prediction: where the object would be by now.
-        touched = state.fingertips.contacts is not None  # at the last observation
-        state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
-        state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
-        self._predict(state, observation.T_world_palm, stamp)
-        loaded = observation
+    def _placed(self, observation: Observation) -> Observation:
+        """Returns the observation with the palm's pose, where the rig's joints tell it."""
+        joints = observation.joint_positions
+        known = observation.T_world_palm is not None or joints is None
+        if self.rig.world_from != "joints" or known or joints is None:
+            return observation
+        T = se3.check(self.rig.hand.T_world_palm(joints), "observation.joint_positions: palm in the world")
+        return replace(observation, T_world_palm=T)
+
+    def _touched(self, state: TrackState, observation: Observation) -> TrackState:
+        """Returns the state with the contacts of an observation."""
+        touched = state.touch.fingertips.contacts is not None  # at the last observation
+        skin = self.skin_sensors.observed(observation, state.touch.skin, touched=touched)
+        tips = self.sensors.contacts(observation, state.offsets, skin)
+        memory = state.touch.memory.after(tips.fingers, tips.contacts, observation.stamp)
+        monitor = state.monitor
+        if tips.contacts is not None:
+            monitor = replace(monitor, measured_at=observation.stamp)
+        return replace(state, touch=Touch(memory, tips, skin), monitor=monitor)
+
+    def _predicted(self, state: TrackState, observation: Observation) -> TrackState:
+        """Returns the state with its belief at the observation's stamp, after changes of the grasp and slips."""
+        tips = state.touch.fingertips
+        memory = state.touch.memory
+        belief, change = state.belief.predicted(
+            observation.stamp, state.stamp, tips.fingers, observation.T_world_palm
+        )
+        before = state.belief.grasp
+        state = replace(state, stamp=observation.stamp, belief=belief)
+        if change == "grasped":
+            memory = memory.only(tips.fingers)
+        if belief.smoother is not None:
+            if change is not None:
+                state = self._regrasped(state, change, before.lasted)
+            T = state.belief.known.now.T_palm_object
+            slip = state.slip.copied()
+            motion = slip.update(state.stamp, tips, T)
+            if motion is not None:
+                state = replace(state, belief=state.belief.slipped(motion))
+            state = replace(state, slip=slip)
+        if state.slip.now.slipping:
+            memory = memory.only(tips.fingers)
+        return replace(state, touch=replace(state.touch, memory=memory))
+
+    def _regrasped(self, state: TrackState, change: GraspChange, lasted: float) -> TrackState:
+        """Returns the state after fingers came or went; `lasted`: how long they have held the object [s]."""
+        if change != "released":
+            return replace(state, belief=state.belief.regrasped(state.stamp, change, self.supports, None))
+        last = state.correction
+        belief = state.belief
+        touch = last.estimate if last is not None and lasted >= LEAST_HOLD else None
+        if last is not None and touch is not None and belief.table is not None:
+            # The table may be misplaced, and the next grasp would count it a second time: contacts alone stay.
+            start = touch.T_palm_object_maximum
+            touch = refine_pose(self.model, last.contacts, belief.known.without_touch, start)
+        return replace(
+            state,
+            belief=belief.regrasped(state.stamp, change, self.supports, touch),
+            # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
+            offsets=self.joint_offsets(state),
+            learnt_from=last,
+            correction=None,
+            search=None,
+            monitor=replace(state.monitor, failure=None),
+        )
+
+    def _weighed(self, state: TrackState, observation: Observation) -> TrackState:
+        """Returns the state after the loads of an observation."""
+        tips, skin = state.touch.fingertips, state.touch.skin
+        slip = state.slip.now
+        grasp = state.belief.grasp
         if skin.touches:
-            loaded = replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
-        state.weight.update(
-            loaded,
-            (touch.fingers, touch.contacts),
+            observation = replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
+        weight = state.weight.copied()
+        if slip.slipping:
+            weight.weigher.forget("the object slips")
+        weight.update(
+            observation,
+            (tips.fingers, tips.contacts),
             (state.offsets.mean, state.offsets.root),
-            grasped=state.grasp.grasped,
-            lifted=state.grasp.lifted,
-            pivots=state.slip.now.pivots,
-            finger_on_table="on the table" in touch.reasons.values(),
+            grasped=grasp.grasped,
+            lifted=grasp.lifted,
+            pivots=slip.pivots,
+            finger_on_table="on the table" in tips.reasons.values(),
             borne=skin.bears,
         )
+        return replace(state, weight=weight)
 
-        # Vision.
-        before = state.smoother
-        self._measure_by_vision(state, observation)
-        if vision := state.smoother is not before:
-            state.observed_at = stamp
-        if state.smoother is not None and not state.smoother.is_near:
-            # The palm has moved so far away that the hand cannot hold the object.
-            state.smoother = _started(state.vision, state.start)
-            state.correction = None
-            state.estimate = None
-            state.progress = None
-        if vision or touch.contacts is not None:
-            state.measured_at = stamp
-        if state.smoother is None:
-            state.label = "lost"
-            state.reason = NO_POSE
-            return None
+    def _seen(self, state: TrackState, observation: Observation) -> TrackState:
+        """Returns the state after the observation's image, or its pose from vision if it has no image."""
+        before = state.belief
+        known = state.estimate if before.grasp.grasped else None
+        images = state.images.copied()
+        T_palm_object = None if known is None else known.T_palm_object
+        processed, hand = images.observe(observation, before.vision.camera_from_palm, T_palm_object)
+        belief = before if hand is None else before.with_hand(hand)
+        if processed.vision is not None:
+            belief = self._with_vision(belief, images, observation, processed)
+        state = replace(state, belief=belief, images=images, processed=processed)
+        smoother = belief.smoother
+        if smoother is not before.smoother:
+            seen = replace(belief, seen_at=state.stamp)
+            state = replace(state, belief=seen, monitor=replace(state.monitor, measured_at=state.stamp))
+        if smoother is not None and not smoother.is_near:
+            state = replace(state, belief=belief.lost(), correction=None, estimate=None, search=None)
+        return state
 
-        # The answer: corrected, or propagated from the last correction, or vision's alone.
-        if state.progress is None and touch.contacts is not None and self._due(state):
-            state.progress = Progress(_Next(state).frozen())
-            state.weight.used()
-        if state.progress is not None:
-            self._continued(state, state.progress, elapsed)
-        last = state.correction
-        if state.estimate is None or last is None:  # without touch every direction is unobservable
-            now = state.smoother.now
-            state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
-        elif stamp - state.propagated_to > RENEW_AFTER:
-            state.estimate = last.estimate.inflated(self._motion_since(last, state))
-            state.propagated_to = stamp
-        if state.estimate.consistent or state.fits_at == -math.inf:
-            state.fits_at = stamp
-        state.label, state.reason = self._trust(state, state.estimate)
-        return state.estimate
+    def _with_vision(
+        self, belief: Belief, images: ImageVision, observation: Observation, processed: Observation
+    ) -> Belief:
+        """Returns the belief after a pose from vision, `processed.vision`, which may be that of an earlier image.
 
-    def _predict(self, state: _Next, T_world_palm: Array | None, stamp: float) -> None:
-        """Propagates the smoother to `stamp`, and through changes of the grasp."""
-        before = state.grasp
-        fingers = state.fingertips.fingers
-        palm = state.T_world_palm if T_world_palm is None else T_world_palm
-        state.grasp, change = before.after(fingers, stamp, palm)
-        if T_world_palm is not None and state.T_world_palm is not None:
-            self._carry(state, before, state.T_world_palm, T_world_palm)
-        if state.smoother is not None and stamp > state.stamp > -math.inf:
-            seconds = stamp - state.stamp
-            state.smoother = state.smoother.inflated(self.process_noise * seconds, seconds)
-        state.T_world_palm = palm
-        state.stamp = stamp
-        state.memory = state.memory.after(fingers, state.fingertips.contacts, stamp)
-        if change == "grasped":
-            state.memory = state.memory.only(fingers)
-        if (smoother := state.smoother) is not None:
-            smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
-            if state.table is not None and state.smoother is not smoother:
-                slipped = state.smoother.prior.covariance - smoother.now.covariance
-                state.table = state.table.restarted(smoother, slipped[:6, :6])
-        if state.slip.now.slipping:
-            state.memory = state.memory.only(fingers)
-            state.weight.weigher.forget("the object slips")
-
-    def _carry(self, state: _Next, before: GraspState, T_before: Array, T_now: Array) -> None:
-        """Moves the object's pose in the palm as the palm moves in the world, where the object does not move with it:
-        one that is not grasped stays where it is, and one that stands on the table keeps its height and its tilt."""
-        if np.array_equal(T_before, T_now) or (before.grasped and not self._stands(state, before)):
-            return
-        motion = slid(T_before, T_now) if before.grasped else EYE
-        T_new_old = se3.inverse(T_now) @ motion @ T_before
-        if state.smoother is not None:
-            state.smoother = state.smoother.transformed(T_new_old)
-        if state.table is not None:
-            state.table = state.table.transformed(T_new_old, T_now)
-
-    def _stands(self, state: TrackState, before: GraspState) -> bool:
-        """Returns whether a grasped object still stands on the table."""
-        return self.rig.table is not None and not (before.carried or state.grasp.carried)
-
-    def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
-        """Returns the smoother after fingers came or went, which may have pushed the object."""
-        last = state.correction
-        pose = smoother.now
-        T = state.T_world_palm
-        table = self.rig.table
-        if change == "released":
-            # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
-            state.offsets = self.joint_offsets(state)
-            state.learnt_from = last
-            touch = None if last is None else last.estimate
-            if last is not None and touch is not None and state.table is not None:
-                # The table may be misplaced, and the next grasp would count it a second time: contacts alone stay.
-                prior, start = smoother.without_touch, touch.T_palm_object_maximum
-                touch = refine_pose(self.model, last.contacts, prior, start)
-            if touch is not None:
-                # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
-                pose = pose.given_pose(touch.T_palm_object, touch.information)
-            state.correction = state.table = state.progress = state.failure = None
-        pose = pose.inflated(self.regrasp_noise)
-        if change != "released" and table is not None and T is not None and not state.grasp.lifted:
-            state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
-        elif state.table is not None:
-            state.table = state.table.restarted(smoother, np.diag(self.regrasp_noise))
-        return smoother.restarted(pose)
-
-    def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
-        """Updates the smoother by the observation's image, or by its pose from vision if it has no image."""
-        known = state.estimate
-        grasped = state.grasp.grasped
-        T_palm_object = known.T_palm_object if known is not None and grasped else None
-        processed, hand = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
-        state.processed, before = processed, state.smoother
-        if hand is not None:
-            state.vision, state.smoother = state.vision.palm_detected(hand, before)
-            if state.table is not None and before is not None and state.smoother is not before:
-                state.table = state.table.informed(before, hand.bias(before.pivot))
-        if (vision := processed.vision) is None:
-            return
-        # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
-        latency = self.camera.latency if state.smoother is None else state.smoother.latency
+        Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
+        """
+        vision = processed.vision
+        assert vision is not None
+        of_image = vision is not observation.vision
+        grasp = belief.grasp
+        latency = self.camera.latency if belief.smoother is None else belief.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
-        past = state.images.history.palm_at(stamp, latency)
+        past = images.history.palm_at(stamp, latency)
         T_then_now = EYE
-        if self.settings.concurrent_images and vision is not observation.vision:  # maybe seconds late
-            if stamp < state.grasp.since or (grasped and past is None):
-                return
-            if not grasped and past is not None and state.T_world_palm is not None:
-                T_then_now = se3.inverse(past[0]) @ state.T_world_palm
-        past = past if grasped else None
-        T_world_palm, motion = past or (state.T_world_palm, STILL)
-        if vision is not observation.vision:
-            # An image's covariance includes what it shares with those before.
+        if self.settings.concurrent_images and of_image:  # maybe seconds late
+            if stamp < grasp.since or (grasp.grasped and past is None):
+                return belief
+            if not grasp.grasped and past is not None and belief.T_world_palm is not None:
+                T_then_now = se3.inverse(past[0]) @ belief.T_world_palm
+        T_world_palm, motion = belief.T_world_palm, STILL
+        if grasp.grasped and past is not None:
+            T_world_palm, motion = past
+        if of_image:  # whose covariance includes what it shares with those before
             motion = motion._replace(drift_gain=0.0)
-        state.vision, after = state.vision.updated(
-            processed, state.smoother, T_world_palm, motion, T_then_now
-        )
-        state.smoother = after
-        if before is not None and after is not None and (after.process_noise < before.process_noise).any():
-            state.table = None  # vision has started anew, as the object was moved
+        return belief.with_vision(processed, T_world_palm, motion, T_then_now)
 
-    def _due(self, state: _Next) -> bool:
+    def _corrected(self, state: TrackState, elapsed: float) -> TrackState:
+        """Returns the state after a part of a correction, one that goes on or a new one if it is due."""
+        search = state.search
+        if search is None:
+            if state.touch.fingertips.contacts is None or not self._due(state):
+                return state
+            search = Search(state)
+            state = replace(state, weight=state.weight.copied())
+            state.weight.used()
+        started = search.started
+        try:
+            found = self._correct(started, search.answers, solves_in(elapsed))
+        except Unfinished as pause:
+            return replace(state, search=replace(search, answers=pause.answers))
+        except (InvalidInput, np.linalg.LinAlgError) as error:
+            if state.search is None and isinstance(error, InvalidInput):
+                raise  # it is this observation's
+            failure = _failure(started, error)
+            return replace(state, search=None, monitor=replace(state.monitor, failure=failure))
+        return _concluded(state, started, found)
+
+    def _due(self, state: TrackState) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
-        last, failure = state.correction, state.failure
-        if failure is not None and state.stamp - failure.stamp < RETRY_PERIOD:
-            return False
-        if last is None or failure is not None:
+        last, failure = state.correction, state.monitor.failure
+        now = state.stamp
+        if failure is not None:
+            return seconds(now, failure.stamp) >= RETRY_PERIOD
+        if last is None:
             return True
-        age = state.stamp - last.stamp
-        regrasped = state.fingertips.fingers != last.fingers
+        age = seconds(now, last.stamp)
+        touch = state.touch
+        regrasped = touch.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (RETRY_PERIOD if regrasped else RECOVERY_PERIOD)
-        if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
-            return True
-        news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
-        if state.observed_at > last.stamp or regrasped or news:
-            return True
-        if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
-            return True
-        if have_moved(state.fingertips.records, last.records, MOVED, math.cos(TURNED)):
-            return True
-        if last.T_world_palm is None or state.T_world_palm is None or not self._stands(state, state.grasp):
-            return False
-        T_new_old = se3.inverse(state.T_world_palm) @ slid(last.T_world_palm, state.T_world_palm)
-        off = se3.difference(T_new_old @ last.T_world_palm, EYE)
-        return bool(np.linalg.norm(off[:3]) > MOVED or np.linalg.norm(off[3:]) > TURNED)
+        rate = self.settings.rate
+        return (
+            (last.disputed_at is not None and seconds(now, last.disputed_at) >= CONFIRM_AFTER)
+            or (bool(last.estimate.outliers) and age >= RECOVERY_PERIOD)
+            or regrasped
+            or state.belief.seen_at > last.stamp
+            or state.weight.news
+            or touch.skin.news(last.skin)
+            or state.slip.news(last.stamp)
+            or (rate is not None and age >= 1 / rate - 1e-6)
+            or have_moved(touch.fingertips.records, last.records, MOVED, math.cos(TURNED))
+            or _has_slid(state.belief, last)
+        )
 
-    def _motion_since(self, last: Correction, state: TrackState) -> Array:
-        """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
-        noise = process_variance(self.process_noise, state.stamp - last.stamp)
-        return noise + self.regrasp_noise if state.grasp.changed > last.stamp else noise
+    def _correct(self, state: TrackState, answers: tuple[PoseEstimate | None, ...], most: int) -> Found:
+        """Returns what a correction finds by all contacts, present or remembered, and all else that a state knows.
 
-    def _continued(self, state: _Next, progress: Progress, elapsed: float) -> None:
-        """Continues a correction; once it has ended, what it has found replaces what the state had before."""
-        state.progress, found = self._runner.run(progress, steps_in(elapsed))
-        if found is None:
-            return
-        started = progress.started
-        seconds = state.stamp - progress.started.stamp
-        for name in CORRECTED:
-            setattr(state, name, getattr(found, name))
-        if found.smoother is not started.smoother and found.smoother is not None:  # by another prior
-            noise = process_variance(self.process_noise, seconds)
-            state.smoother = found.smoother.inflated(noise, seconds)
-        if state.table is started.table:
-            state.table = found.table
-        if found.memory is not started.memory:
-            wrong = started.memory.last.keys() - found.memory.last.keys()
-            state.memory = state.memory.only(state.memory.last.keys() - wrong)
-
-    def _correct(self, started: TrackState) -> Steps[TrackState]:
-        """Returns the state after its pose was corrected, in steps: by all contacts, present or remembered, with the
-        smoother's pose as prior."""
-        state = _Next(started)
-        state.failure = None
-        touch = state.fingertips
-        now = state.stamp
-        last = state.correction
-        skin = state.skin
-        touched, smoother, observed = touch.contacts, state.smoother, state.processed
-        assert touched is not None and smoother is not None  # noqa: PT018
-        smoother = smoother if state.table is None else state.table.smoother(smoother)
-        contacts, remembered = state.memory.added(touch.fingers, touched, now)
-        joints = None if observed is None else observed.joint_positions
+        See `Solver` for `answers` and `most`; raises Unfinished.
+        """
+        touch, belief = state.touch, state.belief
+        tips, now = touch.fingertips, state.stamp
+        assert tips.contacts is not None
+        contacts, remembered = touch.memory.added(tips.fingers, tips.contacts, now)
+        joints = None if state.processed is None else state.processed.joint_positions
         links = self.hand.at(joints and state.offsets.corrected(joints))
-        pressed = skin.evidence()
-        evidence = state.weight.evidence()
-        prior = smoother.without_touch
-        problem, patches = problem_of(self.model, contacts, prior, links, evidence, pressed)
+        pressed = touch.skin.evidence()
+        prior = belief.prior
+        given = prior, links, state.weight.evidence(), pressed
+        solver = Solver(*problem_of(self.model, contacts, *given), answers, most)
 
-        def correct(prior: PosePrior, weaker: Outside | None = None) -> Steps[PoseEstimate]:
-            given = replace(problem, vision=prior)
-            if weaker is not None:
-                given = replace(given, outside=outside_records(self.model, given.contacts, weaker, pressed))
-            return corrected(given, patches)
+        estimate, others = self._nearest(state, prior, solver, pressed=pressed is not None)
+        searched_at = state.correction.searched_at if others is not None and state.correction else now
+        if links is not None:
+            # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
+            estimate = self.hand.reconciled(estimate, links, lambda weaker: solver.correct(prior, weaker))
+        table = belief.table
+        if table is not None and table.due(now, estimate, news=state.weight.news):
+            drift = self._drift(table, now)
+            table, estimate, prior = table.compared(belief.known, (estimate, prior), solver, drift, now)
+        if kept := held(self.model, state, estimate):
+            return Found(kept, state.monitor.innovations, belief.table)
+        state = replace(state, belief=replace(belief, table=table))
+        remedy = None
+        for tried in () if estimate.consistent else _remedies(state, prior):
+            wider = tried(state.belief).prior
+            other = solver.correct(wider)
+            if other.consistent:
+                estimate, prior, remedy = other, wider, tried
+                break
+        state = replace(state, belief=state.belief if remedy is None else remedy(state.belief))
 
-        def refine(prior: PosePrior, T_start: Array) -> Steps[PoseEstimate | None]:
-            return refined(replace(problem, vision=prior), patches, T_start)
-
-        # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
-        # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
-        estimate = None
-        searched_at = now
-        others: Sequence[np.void] = ()
-        same = last is not None and touch.fingers == last.fingers
-        if last is not None and same and (state.observed_at <= last.stamp or pressed is not None):
-            near = last.estimate
-            age = now - last.searched_at
-            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > RELEVANT_WEIGHT
-            search = age >= (RECOVERY_PERIOD if ambiguous else SEARCH_PERIOD)
-            search = search or last.disputed_at is not None
-            if near.consistent and not near.outliers and not search:
-                estimate = yield from refine(prior, near.T_palm_object_maximum)
-                others = last.modes[1:]
-                searched_at = last.searched_at
-        if estimate is None:
-            estimate = yield from correct(prior)
-            others = ()
-            searched_at = now
-
-        # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
-        fits = estimate.consistent and not estimate.outliers
-        if links is not None and not (fits and now - state.links_checked_at < LINK_CHECK_PERIOD):
-            state.links_checked_at = now
-            estimate = yield from self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
-        table, known = state.table, state.smoother
-        if table is not None and known is not None and table.due(now, estimate, news=state.weight.news):
-            drift = process_variance(self.process_noise, now - table.stamp)
-            state.table, estimate, prior = yield from table.compared(
-                known, (estimate, prior), correct, refine, drift, now
-            )
-        if last is not None and touch.fingers == last.fingers and not state.slip.now.slipping:
-            creep = process_variance(self.process_noise, now - last.stamp)
-            if kept := disputed(self.model, last, estimate, creep, now):
-                state.correction = kept
-                state.estimate = kept.estimate
-                state.propagated_to = now
-                state.corrections = state.corrections + 1
-                state.table = table
-                return state
-        if not estimate.consistent and now - state.recovered_at >= RECOVERY_PERIOD:
-            state.recovered_at = now
-            estimate, prior = yield from self._recovered(state, estimate, prior, correct)
-
-        state.weight.used()
-        wrong = [
-            remembered[i - len(touched)] for i in estimate.outliers if 0 <= i - len(touched) < len(remembered)
-        ]
-        if wrong:
-            state.memory = state.memory.only(state.memory.last.keys() - wrong)
-        if others:  # those that were found by the last search
+        numbers = [i - len(tips.contacts) for i in estimate.outliers]
+        wrong = tuple(remembered[i] for i in numbers if 0 <= i < len(remembered))
+        if others:
             estimate = with_others(self.model, estimate, others)
-        yield
-        estimate, modes = self._judged(state, estimate, prior)
+        estimate, modes, innovations = accepted(self.model, state, estimate, prior)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
-        state.correction = Correction(
+        correction = Correction(
             estimate=estimate,
-            contacts=touched,
-            by_error=touch.by_error,
-            records=touch.records,
+            contacts=tips.contacts,
+            by_error=tips.by_error,
+            records=tips.records,
             prior=prior,
-            fingers=touch.fingers,
+            fingers=tips.fingers,
             stamp=now,
             variance=variance,
-            T_world_palm=state.T_world_palm,
-            skin=skin,
+            T_world_palm=belief.T_world_palm,
+            skin=touch.skin,
             modes=modes,
             searched_at=searched_at,
         )
-        state.estimate, state.propagated_to = estimate, now
-        state.corrections += 1
-        return state
+        return Found(correction, innovations, table, remedy, wrong)
 
-    def _judged(
-        self, state: _Next, estimate: PoseEstimate, prior: PosePrior
-    ) -> tuple[PoseEstimate, Sequence[np.void]]:
-        """Returns a correction's estimate with the other explanations of the table, and with a covariance inflated by
-        what has not fitted the model lately; and its modes under its `prior` alone."""
-        last, now = state.correction, state.stamp
-        age = 0.0 if last is None else now - last.stamp
-        afresh = estimate.consistent and now - state.fits_at > LOST_WITHOUT_FIT  # found again
-        watched = NO_INNOVATIONS if last is None or afresh else state.innovations
-        watched = watched.after(age, state.fingertips.fingers, estimate, prior)
-        estimate = watched.covered(self.model, estimate, prior)
-        modes = tuple(estimate.modes)
-        if state.table is not None and state.table.alternatives is not None:
-            estimate = state.table.alternatives.added(self.model, estimate)
-        # An answer that contacts did not fit was called wrong before it moved.
-        if last is not None and last.estimate.consistent and not state.slip.now.slipping:
-            noise = self._motion_since(last, state)
-            watched = watched.moved(age, self.model, last.estimate, estimate, noise)
-        state.innovations = watched
-        return watched.inflated(estimate), modes
+    def _nearest(
+        self, state: TrackState, prior: PosePrior, solver: Solver, *, pressed: bool
+    ) -> tuple[PoseEstimate, Sequence[np.void] | None]:
+        """Returns the estimate under a prior, and the other modes of the last search; None where it is a new search.
 
-    def _recovered(
-        self,
-        state: _Next,
-        estimate: PoseEstimate,
-        prior: PosePrior,
-        correct: Callable[[PosePrior], Steps[PoseEstimate]],
-    ) -> Steps[tuple[PoseEstimate, PosePrior]]:
-        """Returns an estimate that contacts fit, and its prior; both unchanged where none fits.
-
-        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
-        smoother and the table of the one that fits replace the state's.
+        The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With a
+        pressed array a search takes long, and vision adds little, so the start is then the last answer.
         """
-        known = state.smoother
-        more = (INFLATION - 1) * prior.covariance.diagonal()
-        if known is None:
-            return estimate, prior
-        table = None if state.table is None else state.table.restarted(known, np.diag(more))
-        tries = [(known.restarted(known.now.inflated(more)), table)]
-        # Until the object was lost, contacts may have been with something else, such as the edge of the table.
-        if state.stamp - state.fits_at > LOST_WITHOUT_FIT and (afresh := state.vision.afresh()):
-            tries.append((afresh, None))
-        for smoother, table in tries:
-            wider = (smoother if table is None else table.smoother(smoother)).without_touch
-            if (found := (yield from correct(wider))).consistent:
-                state.smoother, state.table = smoother, table
-                return found, wider
-        return estimate, prior
+        last = state.correction
+        if last is not None and state.touch.fingertips.fingers == last.fingers:
+            near = last.estimate
+            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > RELEVANT_WEIGHT
+            old = seconds(state.stamp, last.searched_at) >= (RECOVERY_PERIOD if ambiguous else SEARCH_PERIOD)
+            doubted = old or last.disputed_at is not None or not near.consistent or bool(near.outliers)
+            if not doubted and (pressed or state.belief.seen_at <= last.stamp):
+                estimate = solver.refine(prior, near.T_palm_object_maximum)
+                if estimate is not None:
+                    return estimate, last.modes[1:]
+        return solver.correct(prior), None
 
-    def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
-        """Returns how far the estimate can be trusted, and why not further."""
-        other = state.innovations.touch
-        if state.measured_at == -math.inf:
-            return "lost", "nothing was touched or seen yet"
-        if (since := state.stamp - state.measured_at) > self.settings.lost_after:
-            return "lost", f"nothing touched and nothing seen for {since:.1f} s"
-        if (since := state.stamp - state.fits_at) > LOST_WITHOUT_FIT:
-            reason = f"the contacts have fitted no pose for {since:.1f} s"
-            return "lost", f"{reason}: {other}" if other else reason
-        if state.failure is not None:
-            return "uncertain", state.failure.reason
-        if (slip := state.slip.now).slipping:
-            reason = "the object slips: every finger that holds it is at the limit of friction"
-            return "uncertain", f"{reason}; {slip.doubt}" if slip.doubt else reason
-        if not estimate.consistent:
-            reason = "the contacts do not fit the object at its estimated pose"
-            return "uncertain", f"{reason}: {other}" if other else reason
-        if unzeroed := ", ".join(state.skin.unzeroed):
-            return "uncertain", f"skin {unzeroed}: pressed since its first readings: its offset is unknown"
-        if doubt := state.weight.doubt:
-            return "uncertain", doubt
-        if ambiguous := ambiguity(self.model, estimate):
-            return "uncertain", ambiguous
-        if state.correction is not None and (misfit := state.innovations.worst):
-            why = state.weight.elsewhere(estimate) if misfit.name == "weight" else other
-            return "uncertain", f"{misfit}: {why}" if why else str(misfit)
-        if state.correction is None and not state.vision.camera_from_palm.confirmed:
-            return "uncertain", "nothing is touched: the pose is vision's"
-        if (sigma := self.sigma(state)) > self.settings.uncertain_position:
-            reason = f"the position is known to {1e3 * sigma:.0f} mm only"
-            doubt = "" if state.table is None else state.table.doubt(estimate)
-            return "uncertain", f"{reason}; the table: {doubt}" if doubt else reason
-        return "tracking", ""
+    def _propagated(self, state: TrackState) -> PoseEstimate:
+        """Returns the object's pose now: that of the last correction, or vision's alone."""
+        last = state.correction
+        if last is not None:
+            return last.estimate.inflated(state.belief.walked(state.stamp, last.stamp))
+        now = state.belief.known.now
+        # Without touch every direction is unobservable.
+        return PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
 
 
-def _started(vision: VisionUpdate, start: PosePrior | None) -> PoseBiasSmoother | None:
-    """Returns the smoother at the start of a track; None where the object's pose is unknown."""
-    if start is None:
-        return None
-    return vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
+def _has_slid(belief: Belief, last: Correction) -> bool:
+    """Returns whether an object that stands on the table has moved in the palm since a correction."""
+    if last.T_world_palm is None or belief.T_world_palm is None or not belief.stands:
+        return False
+    T_new_old = se3.inverse(belief.T_world_palm) @ slid(last.T_world_palm, belief.T_world_palm)
+    off = se3.difference(T_new_old @ last.T_world_palm, EYE)
+    return bool(np.linalg.norm(off[:3]) > MOVED or np.linalg.norm(off[3:]) > TURNED)
+
+
+def _remedies(state: TrackState, prior: PosePrior) -> Iterator[Callable[[Belief], Belief]]:
+    """Yields what may be done to a belief where contacts fit no pose near a prior."""
+    more = (INFLATION - 1) * prior.covariance.diagonal()
+    yield lambda belief: belief.widened(more)
+    # Until the object was lost, contacts may have been with something else, such as the edge of the table.
+    if state.monitor.lost_at(state.stamp):
+        yield Belief.afresh
+
+
+def _concluded(state: TrackState, started: TrackState, found: Found) -> TrackState:
+    """Returns the state after a correction that began at an earlier one, `started`, has ended."""
+    belief, memory = state.belief, state.touch.memory
+    if belief.table is started.belief.table:
+        belief = replace(belief, table=found.table)
+    if found.remedy is not None:
+        belief = found.remedy(belief)
+    if found.wrong:
+        memory = memory.only(memory.last.keys() - found.wrong)
+    monitor = replace(
+        state.monitor,
+        innovations=found.innovations,
+        corrections=state.monitor.corrections + 1,
+        failure=None,
+    )
+    touch = replace(state.touch, memory=memory)
+    return replace(
+        state, belief=belief, touch=touch, monitor=monitor, search=None, correction=found.correction
+    )
+
+
+def _failure(started: TrackState, error: Exception) -> Failure:
+    """Returns the failure of a correction that began at a state; its reason names the evidence."""
+    evidence = [f"finger {name}" for name in started.touch.fingertips.fingers]
+    evidence += ["skin"] * started.touch.skin.pressed + ["vision"]
+    evidence += ["the table"] * (started.belief.table is not None)
+    by = f"the correction by {', '.join(evidence)} at {started.stamp:.3f} s failed"
+    return Failure(started.stamp, f"{by}: {str(error) or type(error).__name__}")

@@ -10,6 +10,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
+from handsight.tracking.clock import seconds
 from handsight.tracking.smoother import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
@@ -43,6 +44,11 @@ class GraspState:
         """Whether any finger holds the object."""
         return bool(self.touched)
 
+    @property
+    def lasted(self) -> float:
+        """How long the object was held, up to when it was last touched [s]; 0 where it is not."""
+        return seconds(max(self.touched.values()), self.since) if self.touched else 0.0
+
     def after(
         self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
     ) -> tuple["GraspState", GraspChange | None]:
@@ -52,7 +58,7 @@ class GraspState:
         have stayed that the object may have moved.
         """
         touched = {**self.touched, **dict.fromkeys(fingers, stamp)}
-        touched = {name: at for name, at in touched.items() if stamp - at <= RELEASE_AFTER}
+        touched = {name: at for name, at in touched.items() if seconds(stamp, at) <= RELEASE_AFTER}
         change: GraspChange | None = None
         if bool(touched) != self.grasped:
             change = "grasped" if touched else "released"
@@ -107,7 +113,11 @@ class ContactMemory:
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
         if not self.seconds:
             return self
-        last = {f: old for f, old in self.last.items() if f in fingers or stamp - old.stamp <= self.seconds}
+        last = {
+            f: old
+            for f, old in self.last.items()
+            if f in fingers or seconds(stamp, old.stamp) <= self.seconds
+        }
         if contacts is not None:
             last |= {finger: LastContact(contacts, row, stamp) for row, finger in enumerate(fingers)}
         return replace(self, last=last)

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from handsight.correction import Outside, PoseEstimate
-from handsight.correction.problem import Steps
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 
@@ -23,12 +22,11 @@ WEAKER_LINKS = 4
 """Factor on the links' standard deviations when their depth is measured: then they still bound directions that the
 contacts leave open, but do not outweigh contacts.
 """
-LINK_CHECK_PERIOD = 0.1  # time between two checks for links inside the object [s]
 MAX_MARGIN = 0.02
 """No shape is larger than its link by more [m]: where it is deeper inside the object, the pose is wrong."""
 
 
-Solve = Callable[[Outside], Steps[PoseEstimate]]
+Solve = Callable[[Outside], PoseEstimate]
 
 
 class HandOutside:
@@ -54,7 +52,7 @@ class HandOutside:
         sigmas = np.hypot(levers, SIGMA_SURFACE)
         return Outside(points, sigmas=sigmas[surface.body_of], links=surface.body_of)
 
-    def reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> Steps[PoseEstimate]:
+    def reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
         """Returns the estimate, or, where a link is inside the object or contacts do not fit, one with weaker links.
 
         That is returned if contacts fit it. `solve` estimates the pose with other outside evidence.
@@ -62,7 +60,7 @@ class HandOutside:
         fits = estimate.consistent and not estimate.outliers
         if fits and not self._any_inside(estimate, outside):
             return estimate
-        yielding = yield from solve(replace(outside, sigmas=WEAKER_LINKS * np.asarray(outside.sigmas)))
+        yielding = solve(replace(outside, sigmas=WEAKER_LINKS * np.asarray(outside.sigmas)))
         if not yielding.consistent or yielding.outliers:
             return estimate
         return yielding

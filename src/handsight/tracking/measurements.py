@@ -87,11 +87,15 @@ class VisionUpdate:
         position_palm = (se3.inverse(T_mount_palm) @ pose.T_a_b)[:3, 3]
         checks.position(position_palm, "vision: the object's place in the palm", (3,))
         motion = motion._replace(drift_gain=gain * motion.drift_gain)
-        after = replace(after, last=(pose, T_mount_palm, motion))
+        known = pose, T_mount_palm, motion
         if smoother is not None:
-            after, smoother = after._gated(smoother, pose, T_mount_palm, motion)
+            after, smoother = after._gated(smoother, *known)
+            if after.rejected_in_a_row:
+                return after, smoother
+            after = replace(after, last=known)
             if smoother.is_near:
                 return after, smoother
+        after = replace(after, last=known)
         return replace(after, rejected_in_a_row=0), after.afresh()
 
     def palm_detected(

@@ -7,12 +7,13 @@ from copy import copy
 
 import numpy as np
 
+from handsight.checks import Array
 from handsight.forces import Slip, SlipDetector, slip_twist
 from handsight.forces.object_motion import LENGTH
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
+from handsight.tracking.clock import seconds
 from handsight.tracking.fingertips import FingertipContacts
-from handsight.tracking.smoother import PoseBiasSmoother
 
 SIGMA_SPEED = 0.05  # standard deviation of the speed of slips [m/s]
 MAX_TRAVEL = 0.03  # the farthest that an object slips without leaving the hand, one sigma [m]
@@ -49,10 +50,9 @@ class SlipUpdate:
         """Whether the object slips, after the last observation."""
         return self.detector.now
 
-    def update(
-        self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
-    ) -> PoseBiasSmoother:
-        """Returns the smoother after an observation's loads; it is unchanged where the object does not slip.
+    def update(self, stamp: float, fingertips: FingertipContacts, T_palm_object: Array) -> Array | None:
+        """Returns the covariance (6, 6) of the motion that an observation's loads add to an object at T_palm_object
+        (4, 4) [m², rad²]; None where it does not slip.
 
         A slip keeps its direction, so its sigma, not its variance, grows in proportion to time.
         """
@@ -60,16 +60,15 @@ class SlipUpdate:
         now = self.detector.update(stamp, fingertips.fingers, loads, fingertips.by_taxels)
         if not now.slipping or contacts is None or loads is None:
             self._sigma = 0.0
-            return smoother
+            return None
         before = self._sigma
-        lasts = stamp - now.began + ONSET_DELAY
+        lasts = seconds(stamp, now.began) + ONSET_DELAY
         self._sigma = min(SIGMA_SPEED * lasts, MAX_TRAVEL)
-        state = smoother.now
-        twist = slip_twist(contacts, loads, state.T_palm_object[:3, 3])
+        twist = slip_twist(contacts, loads, T_palm_object[:3, 3])
         along = ISOTROPIC
         if twist is not None:
             along = np.outer(twist, twist) + LATERAL_SHARE**2 * ISOTROPIC
-        return smoother.restarted(state.spread(max(self._sigma**2 - before**2, 0.0) * along))
+        return np.asarray(max(self._sigma**2 - before**2, 0.0) * along)
 
     def news(self, corrected: float) -> bool:
         """Returns whether a correction is due, `corrected` being the stamp of the last one [s].
@@ -77,6 +76,6 @@ class SlipUpdate:
         It is where a slip has begun or ended since then, and again and again while a slip lasts.
         """
         now = self.now
-        if now.slipping and self.detector.stamp - corrected >= SLIP_PERIOD - 1e-9:
+        if now.slipping and seconds(self.detector.stamp, corrected) >= SLIP_PERIOD:
             return True
         return max(now.began, now.ended) > corrected

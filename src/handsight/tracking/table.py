@@ -9,7 +9,7 @@ under the prior that it makes.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,12 +17,13 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
-from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses
 from handsight.rig import Table
+from handsight.tracking.clock import seconds
 from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
+from handsight.tracking.search import Solver
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 LEANS = 0.1  # probability that the object rests on no side of its own, but leans and is held
@@ -123,33 +124,32 @@ class TableEvidence:
         fits = estimate.consistent and not estimate.outliers and estimate.weight_fits is not False
         certain = fits and not news and self.probabilities.max() > CERTAIN
         period = PERIOD if certain else DOUBT_PERIOD
-        return len(self.supports) > 1 and stamp - self.compared_at >= period - 1e-9
+        return len(self.supports) > 1 and seconds(stamp, self.compared_at) >= period
 
     def compared(
         self,
         vision: PoseBiasSmoother,
         likeliest: tuple[PoseEstimate, PosePrior],
-        correct: Callable[[PosePrior], Steps[PoseEstimate]],
-        refine: Callable[[PosePrior, Array], Steps[PoseEstimate | None]],
+        solver: Solver,
         drift: Array,
         stamp: float,
-    ) -> Steps[tuple["TableEvidence", PoseEstimate, PosePrior]]:
+    ) -> tuple["TableEvidence", PoseEstimate, PosePrior]:
         """Returns the evidence after all supports were compared by touch, and estimate and prior of the likeliest one.
 
-        `likeliest`: those of the one that was likeliest before; `correct` finds the estimate of another prior, `refine`
-        from a given start; `drift` is that of `measured`.
+        `likeliest`: those of the one that was likeliest before; `solver` finds those of other priors; `drift` is that
+        of `measured`. Raises Unfinished.
         """
         priors, estimates = [], []
         for i in range(len(self.supports)):
             here = i == self.best
             priors.append(likeliest[1] if here else self.smoother(vision, i).without_touch)
-            estimates.append(likeliest[0] if here else (yield from correct(priors[i])))
+            estimates.append(likeliest[0] if here else solver.correct(priors[i]))
         fits = [estimate for estimate in estimates if estimate.consistent]
         if fits:  # what fits one may fit another, where a search has missed it
             start = fits[0].T_palm_object_maximum
             for i, (estimate, prior) in enumerate(zip(estimates, priors, strict=True)):
                 if not estimate.consistent:
-                    estimates[i] = (yield from refine(prior, start)) or estimate
+                    estimates[i] = solver.refine(prior, start) or estimate
         touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)

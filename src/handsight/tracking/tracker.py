@@ -19,12 +19,14 @@ from handsight.rig.units import Units
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
+from handsight.tracking.judge import sigma
 from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.monitor import State
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.table import TableEstimate
-from handsight.tracking.track_state import State, TrackState
+from handsight.tracking.track_state import TrackState
 from handsight.tracking.warm import warm_tracker
 from handsight.vision import FirstPoseSource, locate
 
@@ -107,7 +109,7 @@ class Tracker:
         contradicted, and invalid ones."""
         self.state: State = "lost"
         """How far to trust the answer."""
-        self.reason = self.track_state.reason
+        self.reason = self.track_state.monitor.reason
         """Why it cannot be trusted further; empty while tracking."""
         self._left_out_in_a_row = 0
 
@@ -147,6 +149,8 @@ class Tracker:
         except Exception as error:
             self.refused += 1
             self._leave_out(getattr(observation, "stamp", None), str(error))
+            if isinstance(error, np.linalg.LinAlgError):
+                raise InvalidInput(f"observation: expected numbers that can be fused, got {error}") from error
             raise
         if held is not None and not jumps:
             self.late += 1
@@ -154,7 +158,7 @@ class Tracker:
         self._restarted = restarted
         self.track_state = state
         if state is not last:
-            self.state, self.reason = state.label, state.reason
+            self.state, self.reason = state.monitor.label, state.monitor.reason
         if late:
             self.late += 1
             self._leave_out(clean.stamp, "older than the last one")
@@ -187,11 +191,9 @@ class Tracker:
     def _new_track(self) -> TrackState:
         """Returns the state at which a new track begins, which keeps what was learnt of the robot."""
         last = self.track_state
-        return replace(
-            self.follower.initial(last.start, last.offsets),
-            corrections=last.corrections,
-            learnt_from=last.learnt_from,
-        )
+        first = self.follower.initial(last.belief.start, last.offsets)
+        monitor = replace(first.monitor, corrections=last.monitor.corrections)
+        return replace(first, monitor=monitor, learnt_from=last.learnt_from)
 
     def vision_bias(self) -> tuple[Array, Array] | None:
         """Returns the constant part (6,) of vision's error, see `PoseAndBias.vision_bias`, and its covariance (6, 6).
@@ -199,10 +201,10 @@ class Tracker:
         Vision and contacts together estimate it, the more the palm turns; None before there were both.
         """
         known = self.track_state
-        if known.smoother is None or known.correction is None or known.vision.mount is None:
+        if self.smoother is None or known.correction is None or self.vision.mount is None:
             return None
         estimate = known.correction.estimate
-        state = known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
+        state = self.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
         return state.vision_bias, state.covariance[6:12, 6:12]
 
     def vision_latency(self) -> tuple[float, float] | None:
@@ -211,10 +213,10 @@ class Tracker:
         It is estimated while the hand moves the object, and taken away: a pose from vision is compared with the palm's
         at that earlier time. None before there was a pose from vision.
         """
-        known = self.track_state
-        if known.smoother is None or known.vision.mount is None:
+        smoother = self.smoother
+        if smoother is None or self.vision.mount is None:
             return None
-        return known.smoother.latency, float(np.sqrt(known.smoother.solved.covariance[18, 18]))
+        return smoother.latency, float(np.sqrt(smoother.solved.covariance[18, 18]))
 
     @property
     def stamp(self) -> float:
@@ -229,22 +231,22 @@ class Tracker:
     @property
     def corrections(self) -> int:
         """How often the pose was corrected."""
-        return self.track_state.corrections
+        return self.track_state.monitor.corrections
 
     @property
     def T_world_palm(self) -> Array | None:
         """(4, 4) the last known pose of the palm; None before it was measured."""
-        return self.track_state.T_world_palm
+        return self.track_state.belief.T_world_palm
 
     @property
     def fingertips(self) -> FingertipContacts:
         """What the fingertips measure."""
-        return self.track_state.fingertips
+        return self.track_state.touch.fingertips
 
     @property
     def skin(self) -> SkinContacts:
         """What the tactile arrays measure."""
-        return self.track_state.skin
+        return self.track_state.touch.skin
 
     @property
     def processed(self) -> Observation | None:
@@ -254,12 +256,12 @@ class Tracker:
     @property
     def vision(self) -> VisionUpdate:
         """The gate of vision's measurements, with the number of those that were rejected."""
-        return self.track_state.vision
+        return self.track_state.belief.vision
 
     @property
     def smoother(self) -> PoseBiasSmoother | None:
         """The pose and vision's bias, estimated from vision alone; None before there was a start or vision."""
-        return self.track_state.smoother
+        return self.track_state.belief.smoother
 
     @property
     def joint_offsets(self) -> JointOffsets:
@@ -269,7 +271,7 @@ class Tracker:
     @property
     def sigma(self) -> float:
         """The largest standard deviation of the position of the object's middle [m]; infinite without a pose."""
-        return self.follower.sigma(self.track_state)
+        return sigma(self.model, self.track_state)
 
     @property
     def table(self) -> TableEstimate | None:

@@ -13,6 +13,7 @@ from handsight.errors import InvalidInput
 from handsight.forces import Slip
 from handsight.rig import Rig
 from handsight.tracking import FingertipContacts, State, Tracker
+from handsight.tracking.judge import sigma
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.viewer.picture import Picture
 
@@ -53,17 +54,18 @@ class Moment:
         """
         known = tracker.track_state
         observation = known.processed
-        T_vision = known.vision.in_palm(observation, known.T_world_palm)
+        belief, touch = known.belief, known.touch
+        T_vision = belief.vision.in_palm(observation, belief.T_world_palm)
         return cls(
             stamp=known.stamp,
-            state=known.label,
-            reason=known.reason,
+            state=known.monitor.label,
+            reason=known.monitor.reason,
             estimate=known.estimate,
-            sigma=tracker.follower.sigma(known),
-            fingertips=known.fingertips,
-            T_world_palm=known.T_world_palm,
+            sigma=sigma(tracker.model, known),
+            fingertips=touch.fingertips,
+            T_world_palm=belief.T_world_palm,
             slip=known.slip.now,
-            skin=known.skin,
+            skin=touch.skin,
             joint_positions=None if observation is None else observation.joint_positions,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
         )
