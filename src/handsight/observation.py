@@ -53,7 +53,7 @@ class PoseMeasurement:
             object.__setattr__(self, "covariance", covariance)
             covariance.setflags(write=False)
         if self.stamp is not None:
-            object.__setattr__(self, "stamp", _seconds(self.stamp, "vision.stamp"))
+            object.__setattr__(self, "stamp", _checked_stamp(self.stamp, "vision.stamp"))
         self.T_frame_object.setflags(write=False)
 
 
@@ -163,7 +163,7 @@ def check_observation(observation: Observation) -> Observation:
     stamp = observation.stamp
     vision = observation.vision
     T = observation.T_world_palm
-    stamp = _seconds(stamp, "observation.stamp")
+    stamp = _checked_stamp(stamp, "observation.stamp")
     for name in ("wrenches", "contacts", "skin"):
         given = getattr(observation, name)
         if not isinstance(given, Mapping):
@@ -176,14 +176,22 @@ def check_observation(observation: Observation) -> Observation:
         T.setflags(write=False)
     image_stamp = observation.image_stamp
     if image_stamp is not None:
-        image_stamp = _seconds(image_stamp, "observation.image_stamp")
+        image_stamp = _checked_stamp(image_stamp, "observation.image_stamp")
     return replace(observation, stamp=stamp, T_world_palm=T, image_stamp=image_stamp)
 
 
-def _seconds(stamp: float, name: str) -> float:
+def seconds(now: float, then: float) -> float:
+    """Returns the time between two stamps [s], to the microsecond.
+
+    Stamps that count from 1970 are rounded to a quarter of one: so a recording is answered alike whenever it was made.
+    """
+    return round(now - then, 6)
+
+
+def _checked_stamp(stamp: float, name: str) -> float:
     """Returns a stamp [s] as a float; raises InvalidInput where it is not a plausible time in seconds."""
-    seconds = float(checks.finite(stamp, name, ()))
-    if abs(seconds) > MAX_STAMP:
+    number = float(checks.finite(stamp, name, ()))
+    if abs(number) > MAX_STAMP:
         expected = f"expected seconds within {MAX_STAMP:g}"
-        raise InvalidInput(f"{name}: {expected}, got {seconds:g} (milliseconds or nanoseconds?)")
-    return seconds
+        raise InvalidInput(f"{name}: {expected}, got {number:g} (milliseconds or nanoseconds?)")
+    return number

@@ -95,3 +95,23 @@ def test_sigma_and_covariance_say_the_same_after_a_regrasp():
     after = tracker.estimate.bounded_covariance[:3, :3]
     assert tracker.sigma > before
     assert tracker.sigma == pytest.approx(np.sqrt(np.linalg.eigvalsh(after)[-1]), rel=0.1)
+
+
+@pytest.mark.parametrize("reading", [2, 5])
+def test_a_contact_of_one_reading_before_the_grasp_changes_nothing_of_it(can, reading):
+    """Such as noise of a sensor: the tip is in the air, and so is what it would say of the object."""
+    held = can.observations[-1]
+    finger = "ff"
+    noisy = list(can.observations)
+    noisy[reading] = replace(
+        noisy[reading], wrenches={**noisy[reading].wrenches, finger: held.wrenches[finger]}
+    )
+    middle = np.append(can.model.center_object, 1.0)
+    errors = []
+    for observations in (can.observations, noisy):
+        tracker = Tracker(can.rig, can.model)
+        touched = [bool(tracker.update(each)) and tracker.fingertips.fingers for each in observations]
+        errors.append(np.linalg.norm((tracker.estimate.T_palm_object - can.T_palm_object) @ middle))
+    assert touched[reading] == (finger,)
+    assert not touched[reading + 1]
+    assert errors[1] < errors[0] + 1e-3

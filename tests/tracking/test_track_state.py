@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handsight.errors import InvalidInput
 from handsight.observation import check_observation
 from handsight.tracking import Tracker
 
@@ -114,3 +115,34 @@ def test_an_error_midway_leaves_the_tracker_as_it_was(can, monkeypatch):
     assert failed
     assert tracker.track_state is state
     np.testing.assert_array_equal(numbers(tracker), known)
+
+
+@pytest.mark.parametrize("epoch", [1e9, 1.7e9])
+def test_a_recording_is_answered_alike_whenever_it_was_made(grasp, epoch):
+    """To the rounding of its stamps."""
+    trackers = [Tracker(grasp.rig, grasp.model) for _ in range(2)]
+    for observation in fast(grasp):
+        now = replace(observation, stamp=epoch + observation.stamp)
+        for tracker, each in zip(trackers, (observation, now), strict=True):
+            tracker.update(each)
+        assert trackers[0].corrections == trackers[1].corrections
+        assert trackers[0].state == trackers[1].state
+    poses = [tracker.estimate.T_palm_object for tracker in trackers]
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-5)
+
+
+def test_an_observation_that_cannot_be_fused_is_refused_and_changes_nothing(can, monkeypatch):
+    """A singular covariance, say: it is InvalidInput, which a replay counts."""
+    tracker = Tracker(can.rig, can.model)
+    for observation in can.observations[:10]:
+        tracker.update(observation)
+    state = tracker.track_state
+
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(type(state.belief), "predicted", singular)
+    with pytest.raises(InvalidInput):
+        tracker.update(can.observations[10])
+    assert tracker.track_state is state
+    assert tracker.refused == 1

@@ -9,10 +9,9 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.objects import ObjectModel
-from handsight.observation import Observation
+from handsight.observation import Observation, seconds
 from handsight.rig import Rig
 from handsight.tracking.camera_from_palm import HandView
-from handsight.tracking.clock import seconds
 from handsight.tracking.grasp import GraspChange, GraspState, slid
 from handsight.tracking.measurements import EYE, VisionUpdate
 from handsight.tracking.smoother import Motion, PoseBiasSmoother, process_variance

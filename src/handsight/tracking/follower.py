@@ -16,11 +16,10 @@ from handsight.errors import InvalidInput
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
-from handsight.observation import Observation
+from handsight.observation import Observation, seconds
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.answer import Correction
 from handsight.tracking.belief import Belief
-from handsight.tracking.clock import seconds
 from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, slid

@@ -10,7 +10,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.tracking.clock import seconds
+from handsight.observation import seconds
 from handsight.tracking.smoother import process_variance
 
 GraspChange = Literal["grasped", "regrasped", "released"]
@@ -139,7 +139,7 @@ class ContactMemory:
         more = [np.zeros((len(contacts), 6, 6))]
         for old in others.values():
             every = every.joined(old.contacts.select([old.row]))
-            variance = process_variance(self.process_noise, max(stamp - old.stamp, 0.0))
+            variance = process_variance(self.process_noise, max(seconds(stamp, old.stamp), 0.0))
             more.append(np.diag(variance)[None])
         covariance = every.covariance + np.concatenate(more)
         return Contacts(every.points_palm, every.normals_palm, covariance=covariance), list(others)

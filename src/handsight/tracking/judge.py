@@ -14,8 +14,8 @@ from handsight import se3
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
+from handsight.observation import seconds
 from handsight.tracking.answer import Correction
-from handsight.tracking.clock import seconds
 from handsight.tracking.hypotheses import ambiguity
 from handsight.tracking.misfit import NO_INNOVATIONS, Innovations
 from handsight.tracking.monitor import Monitor, State

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from handsight.tracking.clock import seconds
+from handsight.observation import seconds
 from handsight.tracking.misfit import NO_INNOVATIONS, Innovations
 
 State = Literal["tracking", "uncertain", "lost"]

@@ -35,8 +35,9 @@ class TrackerSettings:
     concurrent_images: bool = False
     """Whether a thread of its own evaluates depth images: no update then waits for one, its pose is used when it is
     ready, as of the time at which the image was taken, and two runs are no longer equal to the last digit."""
-    uncertain_position: float = 0.015
-    """Largest standard deviation of the position with which the state is "tracking" [m]."""
+    uncertain_position: float = 0.005
+    """Largest standard deviation of the position with which the state is "tracking" [m]: what a next grasp, or placing
+    the object, needs."""
     lost_after: float = 10.0
     """The object is lost once nothing was touched, and vision did not detect it, for so long [s]."""
 

@@ -11,8 +11,8 @@ from handsight.checks import Array
 from handsight.forces import Slip, SlipDetector, slip_twist
 from handsight.forces.object_motion import LENGTH
 from handsight.objects import ObjectModel
+from handsight.observation import seconds
 from handsight.rig import Rig
-from handsight.tracking.clock import seconds
 from handsight.tracking.fingertips import FingertipContacts
 
 SIGMA_SPEED = 0.05  # standard deviation of the speed of slips [m/s]

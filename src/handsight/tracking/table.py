@@ -20,8 +20,8 @@ from handsight.correction import PoseEstimate, PosePrior
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses
+from handsight.observation import seconds
 from handsight.rig import Table
-from handsight.tracking.clock import seconds
 from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
 from handsight.tracking.search import Solver
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
