@@ -303,7 +303,7 @@ class Follower:
                 raise  # it is this observation's
             failure = _failure(started, error)
             return replace(state, search=None, monitor=replace(state.monitor, failure=failure))
-        return _concluded(state, started, found)
+        return _concluded(state, found)
 
     def _due(self, state: TrackState) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
@@ -439,11 +439,11 @@ def _remedies(state: TrackState, prior: PosePrior) -> Iterator[Callable[[Belief]
         yield Belief.afresh
 
 
-def _concluded(state: TrackState, started: TrackState, found: Found) -> TrackState:
-    """Returns the state after a correction that began at an earlier one, `started`, has ended."""
+def _concluded(state: TrackState, found: Found) -> TrackState:
+    """Returns the state after a correction that may have begun at an earlier one has ended."""
     belief, memory = state.belief, state.touch.memory
-    if belief.table is started.belief.table:
-        belief = replace(belief, table=found.table)
+    if belief.table is not None and found.table is not None:
+        belief = replace(belief, table=belief.table.compared_as(found.table))
     if found.remedy is not None:
         belief = found.remedy(belief)
     if found.wrong:

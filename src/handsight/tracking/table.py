@@ -164,6 +164,18 @@ class TableEvidence:
         after = replace(self, probabilities=shares, touch=touch, compared_at=stamp, alternatives=alternatives)
         return after, estimates[order[0]], priors[order[0]]
 
+    def compared_as(self, other: "TableEvidence") -> "TableEvidence":
+        """Returns the evidence with the comparison of an earlier one; unchanged where that is of another grasp."""
+        if other.supports is not self.supports:
+            return self
+        return replace(
+            self,
+            probabilities=other.probabilities,
+            touch=other.touch,
+            compared_at=other.compared_at,
+            alternatives=other.alternatives,
+        )
+
     @classmethod
     def of(
         cls,
