@@ -95,14 +95,21 @@ def test_a_wrong_mass_is_reported_and_the_pose_is_no_worse(lifted):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "declared", "is_other"),
-    [(0.094, 0.19, True), (0.086, 0.12, True), (0.09, 0.19, True), (0.09, 0.15, False), (0.09, 0.157, False)],
+    [
+        (0.094, {"mass": 0.19}, True),
+        (0.086, {"mass": 0.12}, True),
+        (0.09, {"mass": 0.19}, True),
+        (0.09, {"mass": 0.19, "sigma_mass": 0.03}, False),
+        (0.09, {"mass": 0.15}, False),
+        (0.09, {"mass": 0.157}, False),
+    ],
 )
 def test_an_object_that_touch_cannot_tell_from_the_model_is_told_by_its_mass(
     lifted, width, declared, is_other
 ):
     """A box of another width fits the same fingertips. One that is as heavy as declared is never doubted."""
     observations, _ = lifted
-    rig, model = rig_of(SCENARIO), hs.ObjectModel.box((0.06, width, 0.14)).with_weight(mass=declared)
+    rig, model = rig_of(SCENARIO), hs.ObjectModel.box((0.06, width, 0.14)).with_weight(**declared)
     tracker, said = hs.Tracker(rig, model), []
     for observation in observations:
         tracker.update(observation)

@@ -310,8 +310,7 @@ class WeightSensor:
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """An object without a declared centre of mass is weighed too, but that is no evidence of its pose."""
-        mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a share of the mass
-        self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
+        self.weigher = Weigher(rig, model.mass, model.sigma_mass)
         self.model = model
         self._used: Weighing | None = None  # the weighing that the last correction used
 
