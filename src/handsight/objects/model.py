@@ -109,6 +109,8 @@ class ObjectModel(Geometry):
     """The name shown in plots, such as a file's stem; it may be empty."""
     symmetries: Symmetries
     """The declared rotations that leave the surface in place."""
+    sigma_scale: float | None = None
+    """Standard deviation of its size, as a share, where its scale was measured; None where none is stated."""
     mass: float | None = None
     """[kg]; None where unknown."""
     sigma_mass: float = 0.0
