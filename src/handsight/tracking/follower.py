@@ -247,7 +247,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, palm)
             if state.table is not None and state.smoother is not smoother:
                 slipped = state.smoother.prior.covariance - smoother.now.covariance
                 state.table = state.table.restarted(smoother, slipped[:6, :6])
