@@ -81,7 +81,7 @@ class Weigher:
         self.instants: tuple[Carried, ...] = ()  # the instants that it used, the last one at its end
         self.other_object = ""
         """How the mass contradicts the declared one so far that another object may be held; empty where it does not. It
-        stays until the object is released, or weighed again in two directions or more."""
+        stays until the object is released, or a later weighing does not contradict it."""
         self.assumed = ""  # what the rig does not have, and a trusted weighing still has to assume
         self._names: frozenset[str] = frozenset()  # names of readings that came, by which sensors are chosen
         self.sensors = load_sensors(rig)  # the t load sensors
@@ -246,9 +246,11 @@ class Weigher:
         off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
         weighs = f"{1e3 * found.mass:.0f} ± {1e3 * found.sigma_mass:.0f} g"
         said = f"{WEIGHS} {weighs}, the model says {1e3 * self.mass:.0f} ± {1e3 * self.sigma_mass:.0f} g"
-        # Loads that are not those of a weight alone have no mass.
-        is_other = found.consistent and off > (RIGHT_MASS if self.other_object else OTHER_OBJECT)
-        self.other_object = f"{said}: this may be another object" if is_other else ""
+        # Loads that are not those of a weight alone have no mass, and in two directions that is seldom noticed.
+        tells = found.consistent and found.directions >= TRUSTED_DIRECTIONS
+        is_other = tells and off > (RIGHT_MASS if self.other_object else OTHER_OBJECT)
+        if tells or off < RIGHT_MASS:
+            self.other_object = f"{said}: this may be another object" if is_other else ""
         limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
         return said if off > limit else ""
 
