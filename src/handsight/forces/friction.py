@@ -63,14 +63,14 @@ class Friction:
         if self._heap is None and not estimates:
             return
         heap, total = self._heap or (0.0, 0)
-        # Turns well below what was kept up were those of contacts that stick.
-        if heap > (1 - FRICTION.noise_of_slides) * kept_up:
+        # Turns below what was kept up, by more than the noise of both ratios, were those of contacts that stick.
+        if heap > (1 - 2 * FRICTION.noise_of_slides) * kept_up:
             learnt = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(total))
             estimates.append((heap, learnt * heap))
         if not estimates:
-            self.coefficient = self.sigma = (
-                1 - FRICTION.noise
-            ) * kept_up  # at least: how much more is not known
+            at_least = (1 - FRICTION.noise) * kept_up
+            self.coefficient = at_least
+            self.sigma = at_least  # how much more it is, is not known
             return
         mu, sigma = joined(estimates)
         # What was kept up bounds μ from below; but the noise of a long slide is kept up too.

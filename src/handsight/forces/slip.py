@@ -24,7 +24,7 @@ from handsight.forces.loads import LINK_TAXELS, LoadSensor, load_sensors
 from handsight.rig import Rig
 
 EYE = np.eye(3)
-TURN_SIGMAS = 4.0  # of a load's noise, by which it has turned; a load that rests has random turns of less
+TURN_SIGMAS = 3.0  # of a load's noise, by which it has turned; a load that rests has random turns of less
 UNKNOWN_FRICTION = "friction is neither declared nor shown by the loads so far, so no slip is noticed"
 
 
