@@ -63,7 +63,10 @@ def followed(samples: list[Sample]) -> Felt:
     sensors, detector, rows = FingertipSensors(rig), SlipDetector(rig), []
     for sample in samples:
         felt = sensors.contacts(sample.observation)
-        said = detector.update(sample.observation.stamp, felt.fingers, felt.loads)
+        T_world_palm = sample.observation.T_world_palm
+        assert T_world_palm is not None
+        R = T_world_palm[:3, :3]
+        said = detector.update(sample.observation.stamp, felt.fingers, felt.loads, R_world_palm=R)
         speed = slips.speed(sample)
         way = np.nan
         if speed > slips.FAST and said.slipping and felt.contacts is not None and felt.loads is not None:

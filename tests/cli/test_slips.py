@@ -27,6 +27,7 @@ def tracker():
         "images": {},
         "skin": SimpleNamespace(faults={}),
         "rig": SimpleNamespace(fingers={}),
+        "model": SimpleNamespace(sigma_scale=None),
     }
     return SimpleNamespace(**nothing)
 

@@ -7,6 +7,7 @@ import pty
 import re
 import signal
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ import pytest
 from cli.commands import INTERRUPTIBLE, called, read_some, run
 from cli.tracks import assert_results_agree, observations, recorded
 from handsight.cli.simulate import believed_object, nuisances
+from handsight.cli.track import TrackResult
 from handsight.errors import InvalidInput
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Nuisances, Scenario, rig_of
+from handsight.tracking import Tally
 from testbed.refusals import refused
 
 
@@ -82,6 +85,24 @@ def test_track_ends_with_what_it_estimated_beside_what_is_declared(by_command, a
     assert shift["sigma_estimated"] < 0.2 * shift["sigma_declared"]
     assert re.search(r"^camera shift y +mm +0 ± 64 ", out, re.MULTILINE)
     assert len(out.strip().splitlines()) == 1 + len(rows)
+
+
+def test_track_says_that_one_grasp_does_not_confirm_the_size_of_the_object(by_command, asked):
+    folder, _ = by_command
+    _, said = asked("track", "can.mcap", "--output-folder", "size", cwd=folder)
+    assert "object size: not confirmed: one grasp, and no depth image was fitted" in said
+    assert json.loads((folder / "size" / "summary.json").read_text())["size_doubt"]
+
+
+@pytest.mark.parametrize(
+    ("grasps", "seen", "sigma", "said"),
+    [(0, 0, None, "no grasp"), (1, 0, 0.03, "3 %"), (2, 0, None, ""), (1, 5, None, "")],
+)
+def test_depth_images_or_another_grasp_may_confirm_the_size(grasps, seen, sigma, said):
+    tracker = SimpleNamespace(images={"object_seen": seen}, model=SimpleNamespace(sigma_scale=sigma))
+    doubt = TrackResult("held", Tally(grasps=grasps), None, tracker).size_doubt
+    assert said in doubt
+    assert bool(doubt) == bool(said)
 
 
 def test_track_takes_the_rig_and_the_object_of_its_options(by_command, asked):

@@ -194,6 +194,27 @@ def test_friction_is_learnt_from_one_finger_that_slides(seed, mu):
     assert friction == pytest.approx(mu, rel=0.03)
 
 
+def test_friction_below_what_two_fingers_keep_up_is_none():
+    """Loads that turn at a ratio of .29, and later rest at .56: they were no slides, and friction is not known."""
+    clock = Clock(SlipDetector(rig()))
+    turning = [np.array([load(0.29, angle=k / 50 + i) for i in range(3)]) for k in range(500)]
+    clock.run(turning)
+    said = clock.run([np.array([load(r)] * 3) for r in np.linspace(0.29, 0.56, 100)])
+    said = clock.run(steady([load(0.56)] * 3, 2.0))
+    assert said[-1].friction > 0.5
+    assert said[-1].doubt
+    assert not any(each.slipping for each in said[-500:])
+    again = clock.run(sliding(0.8))[-1]
+    assert again.friction == pytest.approx(0.8, rel=0.03)
+    assert not again.doubt
+
+
+def test_a_load_at_rest_shows_no_friction_by_its_noise():
+    """At a small ratio noise turns the vector by more than its twentieth."""
+    rng, clock = np.random.default_rng(0), Clock(SlipDetector(rig(0.02)))
+    assert clock.run(steady([load(0.1)] * 3, 4.0), rng, 0.02)[-1].friction is None
+
+
 def test_a_load_that_only_grows_or_is_constant_shows_no_friction():
     clock = Clock(SlipDetector(rig()))
     grows = [np.array([load(0.6, normal, 0.3 * k) for k in range(3)]) for normal in np.linspace(0.1, 5, 1000)]

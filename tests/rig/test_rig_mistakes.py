@@ -104,6 +104,7 @@ MISTAKES = [
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], center_of_mass: [0, 0]}", "objects.a box.center_of_mass", ""),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], center_of_mass: [0, 0, .nan]}", "objects.a box.center_of_mass[2]", ""),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], sigma_center_of_mass: 0.001}", "objects.a box.sigma_center_of_mass", ""),
+    ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], sigma_mass: 0.001}", "objects.a box.sigma_mass", ""),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], scale: 2}", "objects.a box.scale", ""),
     ("ellipsoid: [0.009, 0.01, 0.02], ", "", "fingers.index.tip", ""),
     ("surface: {position: [", "surface: {quaternion_xyzw: [0, 0, 0, 0]} #", "fingers.index.surface.quaternion_xyzw", ""),

@@ -14,6 +14,7 @@ from handsight.errors import InvalidInput
 from handsight.forces.friction import Friction
 from handsight.tracking import FingertipContacts, Tracker, TrackerSettings
 from handsight.tracking.slip_update import LATERAL_SHARE, ONSET_DELAY, SIGMA_SPEED, SlipUpdate
+from tracking.gripper import BOX, gripper, observed
 
 FINGERS = ("ff", "mf", "th")
 FRICTION, PERIOD = 0.7, 0.004
@@ -175,3 +176,33 @@ def test_an_observation_far_ahead_changes_no_slip(box, held):
     assert held.late == 1
     assert held.track_state.slip.detector.stamp == held.stamp == stamp + 0.01
     assert held.slip.friction == now.friction
+
+
+def carried(stamp, angle, grip, rng, mass=0.15):
+    """An observation of a box that two tips hold still, each half of its weight, in a palm that is turned about the
+    line through both by `angle` [rad]; `grip`: with how much force [N]."""
+    rig = gripper()
+    T_world_palm = se3.compose(se3.rotation_exp(np.array([angle, 0.0, 0.0])), np.zeros(3))
+    half = 0.5 * mass * rig.gravity @ T_world_palm[:3, :3]
+    seen = observed(stamp, visible=stamp < 0.1, T_world_palm=T_world_palm)
+    wrenches = {}
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        force_palm = half + np.array([sign * grip, 0.0, 0.0])
+        force = force_palm @ rig.fingers[name].T_frame_surface[:3, :3] + 0.01 * rng.normal(size=3)
+        wrenches[name] = np.concatenate([force, np.cross([0.0, 0.0, 0.01], force)])
+    return replace(seen, wrenches=wrenches)
+
+
+def test_a_hand_that_turns_what_it_holds_reports_no_slip():
+    """The weight turns in the palm at a ratio of .29, as the force of a slide may. After that the box is held by less
+    force, at a ratio of .56: whatever friction is, it is at least that."""
+    rng = np.random.default_rng(0)
+    turns = np.concatenate([np.linspace(0, np.pi, 300), np.linspace(np.pi, 0, 300), np.zeros(300)])
+    grips = np.concatenate([np.full(600, 2.54), np.linspace(2.54, 1.31, 150), np.full(150, 1.31)])
+    tracker, slips = Tracker(gripper(), BOX), 0
+    for k, (angle, grip) in enumerate(zip(turns, grips, strict=True)):
+        tracker.update(carried(0.01 * k, angle, grip, rng))
+        slips += tracker.slip.slipping
+    assert set(tracker.fingertips.fingers) == {"left", "right"}
+    assert slips == 0
+    assert tracker.slip.friction is None or tracker.slip.friction > 0.5

@@ -57,7 +57,7 @@ def test_nodes_are_where_the_answer_has_them(page, tracked):
     assert ((arrows[:, 1] - arrows[:, 0]) * felt.normals_palm).sum(axis=1).min() > 0
     assert scene.open_shifts.visible
     assert scene.turns.visible
-    assert page.panel.status.content.count("TRACKING") == 1
+    assert page.panel.status.content.count(moment.state.upper()) == 1
 
 
 def test_other_modes_are_ghosts(page, tracked):

@@ -262,6 +262,21 @@ class TrackResult:
         """Returns, by finger, the share of the poses with its contact in which the contact was an outlier."""
         return {finger: self.outliers[finger] / count for finger, count in self.touching.items()}
 
+    @property
+    def size_doubt(self) -> str:
+        """Returns why the recording does not confirm the size of the object's model; empty where it may.
+
+        Fingers at a few places fit a model of another size, moved a little: its far end is off, and no contact is.
+        """
+        if self.tally.grasps > 1 or self.tracker.images.get("object_seen"):
+            return ""
+        grasp = "one grasp" if self.tally.grasps else "no grasp"
+        doubt = f"not confirmed: {grasp}, and no depth image was fitted"
+        sigma = self.tracker.model.sigma_scale
+        return (
+            doubt if sigma is None else f"{doubt}; its scale was measured to {100 * sigma:.2g} % (one sigma)"
+        )
+
     def summary(self) -> dict[str, object]:
         """Returns the result in numbers, ready for JSON."""
         tally = self.tally
@@ -282,6 +297,7 @@ class TrackResult:
             "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
             "depth_images": tracker.images,
             "estimates": [asdict(value) for value in self.estimates],
+            "size_doubt": self.size_doubt,
             "weight": weight
             and {
                 "mass_kg": weight.mass,
@@ -324,6 +340,8 @@ class TrackResult:
                 f"{searched} depth images: the object was found in {detected}, "
                 f"the hand in {hands} of {searched_hand} searched for it"
             )
+        if tally.answered and (doubt := self.size_doubt):
+            lines.append(f"object size: {doubt}")
         if self.weight is not None:
             lines.append(f"weight: {weight_text(self.weight)}")
         lines += [end.message for end in self.ends if end.message]

@@ -60,11 +60,17 @@ class Friction:
             self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
         estimates = [] if self._declared is None else [self._declared]
         learnt = math.inf
-        if self._heap is not None:
-            heap, total = self._heap
+        if self._heap is None and not estimates:
+            return
+        heap, total = self._heap or (0.0, 0)
+        # Turns below what was kept up, by more than the noise of both ratios, were those of contacts that stick.
+        if heap > (1 - 2 * FRICTION.noise_of_slides) * kept_up:
             learnt = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(total))
             estimates.append((heap, learnt * heap))
         if not estimates:
+            at_least = (1 - FRICTION.noise) * kept_up
+            self.coefficient = at_least
+            self.sigma = at_least  # how much more it is, is not known
             return
         mu, sigma = joined(estimates)
         # What was kept up bounds μ from below; but the noise of a long slide is kept up too.

@@ -25,7 +25,7 @@ from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains
-from handsight.observation import Observation
+from handsight.observation import Observation, seconds
 from handsight.rig import Rig
 
 ORDER = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
@@ -317,7 +317,7 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         if observation.joint_positions is None or observation.T_world_palm is None:
             continue
         window.append(observation)
-        if observation.stamp - window[0].stamp < STILL:
+        if seconds(observation.stamp, window[0].stamp) < STILL:
             continue
         first, last = (np.array(o.T_world_palm) @ _placed(rig, sensors, o) for o in (window[0], window[-1]))
         readings = window

@@ -12,6 +12,7 @@ from handsight._kernels.touch.slip_records import FRICTION
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.forces.loads import LoadSum
+from handsight.observation import seconds
 
 LENGTH = 0.03  # a rotation by a radian counts as a translation by this length [m]
 
@@ -31,7 +32,7 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
     forces = then.forces[gripping]
     normals = np.array([then.touched[tip][1] for tip in gripping])
     tangential = forces - (forces * normals).sum(axis=1, keepdims=True) * normals
-    crept = tangential * (now.stamp - then.stamp)
+    crept = tangential * seconds(now.stamp, then.stamp)
     (v, creep), (w, turn) = small_motion(points, np.array([moved - points, crept]))
     return se3.compose(se3.rotation_exp(w), v), np.concatenate([creep, turn])
 

@@ -21,8 +21,11 @@ from handsight._kernels.touch.slip_records import FRICTION, LOAD_LIMITS, LOAD_ME
 from handsight.checks import Array
 from handsight.forces.friction import Friction, joined
 from handsight.forces.loads import LINK_TAXELS, LoadSensor, load_sensors
+from handsight.observation import seconds
 from handsight.rig import Rig
 
+EYE = np.eye(3)
+TURN_SIGMAS = 3.0  # of a load's noise, by which it has turned; a load that rests has random turns of less
 UNKNOWN_FRICTION = "friction is neither declared nor shown by the loads so far, so no slip is noticed"
 
 
@@ -85,6 +88,8 @@ class SlipDetector:
         for name in LOAD_MEMORY.names or ():
             if name != "count":
                 self._memory[name] = np.nan
+        self._anchors = np.full((len(self._numbers), 5), np.nan)
+        """By finger, LOAD_MEMORY's `anchor` along the world's axes, at the last turn of its load there."""
 
     def update(
         self,
@@ -92,15 +97,17 @@ class SlipDetector:
         fingers: tuple[str, ...],
         loads: Array | None,
         by_taxels: Collection[str] = (),
+        R_world_palm: Array = EYE,
     ) -> Slip:
         """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
         `loads` (n, 5) are those on `fingers`, see `FingertipContacts.loads`; NaN where one does not measure its load.
-        `by_taxels`: fingers whose load is their taxels'.
+        `by_taxels`: fingers whose load is their taxels'. `R_world_palm` (3, 3) tells turns of a load from those of the
+        palm.
         """
         if not stamp > self.stamp:
             return self.now
-        since = stamp - self.stamp
+        since = seconds(stamp, self.stamp)
         self.stamp = stamp
         fingers, loads = ((), np.empty((0, 5))) if loads is None else (fingers, loads)
         numbers = [self._numbers[name] for name in fingers]
@@ -114,7 +121,8 @@ class SlipDetector:
         scale = friction.coefficient or 1.0
         news, kept_up, gain = follow_loads(*given, scale, friction.declared, self._memory, reads)
         rows = dict(zip(fingers, reads.tolist(), strict=True))
-        turns = [turned for _, _, _, turned in rows.values() if turned]
+        read = zip(numbers, rows.values(), strict=True)
+        turns = [row[3] for number, row in read if row[3] and self._turns(number, R_world_palm)]
         if turns or news:
             friction.update(turns, kept_up, gain)
         unmeasured = tuple([name for name, row in rows.items() if not row[0]])
@@ -135,7 +143,7 @@ class SlipDetector:
         if known and at_limit and (gain == 0 or self._changes(fingers, numbers, ratios)):
             self._at_limit = stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
-        slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
+        slipping = least >= SLIP.stick_ratio and seconds(stamp, self._at_limit) <= holds_after
         self.now = Slip(
             slipping=slipping,
             ratios=ratios,
@@ -147,6 +155,27 @@ class SlipDetector:
             doubt=_doubt(friction, highest),
         )
         return self.now
+
+    def _turns(self, number: int, R_world_palm: Array) -> bool:
+        """Returns whether a finger's load, which has turned in the palm, has turned in the world too, without getting
+        longer: in a hand that turns, the weight of what it holds turns in the palm alone. Where friction is declared, a
+        normal force that changes counts as well."""
+        finger = number % len(self._memory)
+        anchor = self._memory["anchor"][finger].copy()
+        anchor[:3] = R_world_palm @ anchor[:3]
+        before = self._anchors[finger]
+        size = float(np.linalg.norm(before[:4]))
+        longer = abs(float(np.linalg.norm(anchor[:4])) - size)
+        away = float(np.linalg.norm(anchor[:4] - before[:4]))
+        squeezed = self.friction.declared * abs(float(anchor[4] / before[4]) - 1)
+        noise = float(self._limits["noise"][number] / anchor[4])
+        rests = away <= max(FRICTION.min_turn * size, TURN_SIGMAS * noise)
+        if rests and squeezed <= FRICTION.min_turn:
+            return False
+        self._anchors = self._anchors.copy()
+        self._anchors[finger] = anchor
+        # Without an earlier anchor the comparison is false.
+        return longer <= FRICTION.max_radial * math.hypot(away, size * squeezed)
 
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
         """Returns whether any finger's load changes by more than the error of its gain."""

@@ -20,7 +20,7 @@ from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import kept_center
-from handsight.observation import Observation
+from handsight.observation import Observation, seconds
 from handsight.rig import Rig
 
 WINDOW = 0.2  # over which loads are averaged [s]
@@ -41,11 +41,17 @@ more tips hold it [m]; it grows with the root of time."""
 LOOSE_OBJECT_CREEP = 3e-3
 """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
 of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
+SIGMA_UNFELT = 0.12
+"""Sigma per axis of a force on the object that no sensor feels, where the loads would not fit a weight otherwise [N]:
+.2 N in all. Twice as much is refused, mostly."""
 SIGMA_GRAVITY = float(np.deg2rad(1.0))  # of its direction in the world, about each axis [rad]
 WRONG_MASS = 2.33
 """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
 sigmas is mostly that of the declared mass, so that more directions are not more chances."""
 RIGHT_MASS = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
+OTHER_OBJECT = 3.29
+"""A mass that is farther off than so many sigmas (by chance in 1 of 1000) makes it doubtful which object is held: that
+is said of the pose, while a mass that is off by less only costs the evidence of its weight."""
 BIASED = 5.0  # a larger bias, in sigmas of a reading, is reported
 PULL = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
 RESTART_AFTER = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
@@ -73,6 +79,9 @@ class Weigher:
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
         self.instants: tuple[Carried, ...] = ()  # the instants that it used, the last one at its end
+        self.other_object = ""
+        """How the mass contradicts the declared one so far that another object may be held; empty where it does not. It
+        stays until the object is released, or a later weighing does not contradict it."""
         self.assumed = ""  # what the rig does not have, and a trusted weighing still has to assume
         self._names: frozenset[str] = frozenset()  # names of readings that came, by which sensors are chosen
         self.sensors = load_sensors(rig)  # the t load sensors
@@ -171,11 +180,11 @@ class Weigher:
                 self.sensors = sensors
                 self.tare = np.zeros((len(sensors), 6))
         window = self._window
-        if window and not 0 < observation.stamp - window[-1].stamp <= MAX_GAP:
+        if window and not 0 < seconds(observation.stamp, window[-1].stamp) <= MAX_GAP:
             window = ()
         self._window = window = (*window, observation)
-        lasts = observation.stamp - window[0].stamp
-        if lasts < WINDOW - 1e-9 or len(window) < MIN_OBSERVATIONS:
+        lasts = seconds(observation.stamp, window[0].stamp)
+        if lasts < WINDOW or len(window) < MIN_OBSERVATIONS:
             return ()
         self._window = ()
         return window
@@ -186,7 +195,7 @@ class Weigher:
             motion = moved_with_tips(self._last, load)
             T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
             sigma = LOOSE_OBJECT_CREEP if self._loose or motion is None else OBJECT_CREEP
-            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
+            sigma *= float(np.sqrt(max(seconds(load.stamp, self._last.stamp), 0.0)))
             self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
         self._last = load
         self._loose = pivots
@@ -201,10 +210,11 @@ class Weigher:
         exactly = Unknowns(root, biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
-        if before is None or before.directions != found.directions:
-            self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
+        self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
+        if self.assumed and found.consistent:
+            found = weigh(instants, replace(exactly, gains=gains, unfelt=SIGMA_UNFELT), found)
         lifts = found.mass < -WRONG_MASS * found.sigma_mass
-        other_mass = self._other_mass(found, len(instants))
+        other_mass = self._other_mass(found)
         if self.mass is not None and not lifts and not other_mass:
             found = found.given_mass(self.mass, self.sigma_mass)
         few = self._doubted and len(instants) < TRUSTED_DIRECTIONS
@@ -222,20 +232,27 @@ class Weigher:
         # Where only the declared mass contradicts them, the loads still fit those that were kept.
         if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
             self._fits_at = load.stamp
-        if load.stamp - self._fits_at > RESTART_AFTER:
+        if seconds(load.stamp, self._fits_at) > RESTART_AFTER:
             self._kept = ()
             self._fits_at = load.stamp
             self._doubted = True
         if load.acceleration <= MAX_ACCELERATION and load.turning <= MAX_TURNING:
             self._keep(load)
 
-    def _other_mass(self, found: Weighing, directions: int) -> str:
+    def _other_mass(self, found: Weighing) -> str:
         """Returns how a weighing contradicts the declared mass; empty where it does not, as in one direction alone."""
-        if self.mass is None or directions == 1:
+        if self.mass is None or found.directions == 1:
             return ""
-        limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
         off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
-        return f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}" if off > limit else ""
+        weighs = f"{1e3 * found.mass:.0f} ± {1e3 * found.sigma_mass:.0f} g"
+        said = f"{WEIGHS} {weighs}, the model says {1e3 * self.mass:.0f} ± {1e3 * self.sigma_mass:.0f} g"
+        # Loads that are not those of a weight alone have no mass, and in two directions that is seldom noticed.
+        tells = found.consistent and found.directions >= TRUSTED_DIRECTIONS
+        is_other = tells and off > (RIGHT_MASS if self.other_object else OTHER_OBJECT)
+        if tells or off < RIGHT_MASS:
+            self.other_object = f"{said}: this may be another object" if is_other else ""
+        limit = RIGHT_MASS if self.reason.startswith(WEIGHS) else WRONG_MASS
+        return said if off > limit else ""
 
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
@@ -295,8 +312,7 @@ class WeightSensor:
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """An object without a declared centre of mass is weighed too, but that is no evidence of its pose."""
-        mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a share of the mass
-        self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
+        self.weigher = Weigher(rig, model.mass, model.sigma_mass)
         self.model = model
         self._used: Weighing | None = None  # the weighing that the last correction used
 
@@ -326,6 +342,7 @@ class WeightSensor:
         reason = ""
         if not grasped:
             reason = "nothing is grasped"
+            self.weigher.other_object = ""
         elif not lifted and observation.T_world_palm is not None:
             reason = "the palm has not risen since the grasp"
         elif finger_on_table:
@@ -381,9 +398,12 @@ class WeightSensor:
     def doubt(self) -> str:
         """Why the loads make any pose doubtful; empty where they do not.
 
-        Gravity of the wrong sign makes the tips' own weight wrong too, and forces of the wrong sign each contact.
+        Gravity of the wrong sign makes the tips' own weight wrong too, and forces of the wrong sign each contact. An
+        object of another mass may be another object, of another shape where no finger touches it.
         """
-        return self.weigher.reason if self.weigher.reason in (PULLED_UP, WRONG_SIGN) else ""
+        if self.weigher.reason in (PULLED_UP, WRONG_SIGN):
+            return self.weigher.reason
+        return self.weigher.other_object
 
     def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""

@@ -8,8 +8,9 @@ With g = R_wpᵀ (gravity - acceleration), along the palm's axes and about its o
 Both are linear in (m, m c) and, to first order, in the unknowns that all instants have in common: joint offsets δq,
 gravity's direction φ (where the world's z is not vertical, g turns by φ × g), the tips' biases b, and their gains γ: an
 axis of a sensor that reads a share γ too much adds that share of its reading, so that a squeeze, whose true forces
-balance, leaves a net force. Each constant is one unknown, however many instants there are: treated as noise, it would
-make the estimate from five orientations worse than that from three, with a smaller covariance.
+balance, leaves a net force; and, where the loads fit no weight otherwise, a force that no sensor feels, as of a link
+beside the tips, with its torque, both fixed in the palm. Each constant is one unknown, however many instants there are:
+as noise, it would make the estimate from five orientations worse than that from three, with a smaller covariance.
 
 Constants u with unit priors, whose derivatives are the columns C of all whitened rows, are the same as correlated noise
 of the rows, of covariance I + C Cᵀ: that leaves a problem of (m, m c) alone, and its residuals tell u afterwards.
@@ -38,6 +39,7 @@ GYRATION = 0.05
 """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
 PASSES = 2
 """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
+UNFELT_REACH = 0.05  # sigma of the lever of a force that no sensor feels, from the middle of the loads [m]
 MIN_P = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
 MIN_P_FIXED = 0.02  # the same for a wrench fixed in the palm, as of an object that leans on a link
 UNOBSERVABLE = 1e-6  # share of the largest information below which a direction is unobservable
@@ -55,6 +57,8 @@ class Unknowns:
     sigma_gravity: float  # sigma of gravity's direction, about each axis [rad]
     gains: Array = field(default_factory=lambda: np.zeros(1))
     """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
+    unfelt: float = 0.0
+    """Sigma per axis of a force on the object that is fixed in the palm and that no sensor feels [N]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,8 +186,9 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
 def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, moment: Array) -> Array:
     """Returns the six whitened rows of each instant, linear at (m, m c) = (`mass`, `moment`).
 
-    The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains), 4 + 3 + 1 + j + 12 t, all but the first
-    four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
+    The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains, unfelt), 4 + 3 + 1 + j + 12 t + 6, all but
+    the first four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the
+    palm (6).
     """
     Ts, creep = np.array([each.T_now_then for each in instants]), np.array([each.creep for each in instants])
 
@@ -219,9 +224,11 @@ def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, mome
     by_gains = by_bias * (of_loads("readings") * unknowns.gains)[:, None]
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
     fixed = np.diag(np.repeat([1.0, SIGMA_REACH], 3)) + np.zeros((n, 1, 1))
-    rows = np.concatenate(
-        [rows, by_joints, by_biases, by_gains, of_loads("wrench")[..., None], fixed], axis=2
-    )
+    unfelt = np.diag(np.repeat([1.0, UNFELT_REACH], 3))
+    unfelt[3:, :3] = se3.skew(instants[-1].load.middle_palm)
+    unfelt = unknowns.unfelt * unfelt + np.zeros((n, 1, 1))
+    measured = of_loads("wrench")[..., None]
+    rows = np.concatenate([rows, by_joints, by_biases, by_gains, unfelt, measured, fixed], axis=2)
     return _uncorrelated(rows, noise).reshape(6 * n, -1)
 
 

@@ -94,6 +94,7 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
 
 NONE = Symmetries()
 SIGMA_FRICTION = 0.1  # standard deviation of a coefficient of friction that is given without one
+SHARE_MASS = 0.03  # standard deviation of a mass that is given without one, as a share of it
 USUAL_SIGMA = 2e-3  # standard deviation per axis of a centre of mass that is given without one [m]
 
 
@@ -108,8 +109,12 @@ class ObjectModel(Geometry):
     """The name shown in plots, such as a file's stem; it may be empty."""
     symmetries: Symmetries
     """The declared rotations that leave the surface in place."""
+    sigma_scale: float | None = None
+    """Standard deviation of its size, as a share, where its scale was measured; None where none is stated."""
     mass: float | None = None
     """[kg]; None where unknown."""
+    sigma_mass: float = 0.0
+    """Standard deviation of the mass [kg]."""
     center_of_mass: Array | None = None
     """(3,) in the object's frame [m]; None where unknown."""
     sigma_center_of_mass: float = USUAL_SIGMA
@@ -279,14 +284,15 @@ class ObjectModel(Geometry):
         self,
         *,
         mass: float | None = None,
+        sigma_mass: float | None = None,
         center_of_mass: ArrayLike | None = None,
         sigma_center_of_mass: float | None = None,
     ) -> Self:
         """Returns the same object with this mass [kg] and this centre of mass (3,) [m]; None means unknown.
 
-        `sigma_center_of_mass`: standard deviation of the centre of mass per axis [m]. Raises InvalidInput, also for a
-        centre that the declared symmetries would move: an object that is heavier on one side is not symmetric to a
-        hand that weighs it.
+        `sigma_mass`: standard deviation of the mass [kg]; None: 3 % of it. `sigma_center_of_mass`: standard deviation
+        of the centre of mass per axis [m]. Raises InvalidInput, also for a centre that the declared symmetries would
+        move: an object that is heavier on one side is not symmetric to a hand that weighs it.
         """
         sigma = USUAL_SIGMA if sigma_center_of_mass is None else sigma_center_of_mass
         checks.sigma(sigma, "sigma_center_of_mass")
@@ -295,8 +301,14 @@ class ObjectModel(Geometry):
             given = checks.in_reach(center_of_mass, "center_of_mass", (3,))
             center = kept_center(self.symmetries, given)
             check_kept(center, given, 2 * sigma, "center_of_mass")
-        weight = None if mass is None else checks.positive(mass, "mass")
-        return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
+        sigma_weight = 0.0
+        if mass is not None:
+            mass = checks.positive(mass, "mass")
+            usual = SHARE_MASS * mass
+            sigma_weight = usual if sigma_mass is None else checks.positive(sigma_mass, "sigma_mass")
+        return dataclasses.replace(
+            self, mass=mass, sigma_mass=sigma_weight, center_of_mass=center, sigma_center_of_mass=sigma
+        )
 
     def with_friction(self, friction: float | None, sigma: float = SIGMA_FRICTION) -> Self:
         """Returns the object with that coefficient of friction and sigma; None: to be learnt. Raises InvalidInput."""

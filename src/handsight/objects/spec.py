@@ -27,6 +27,8 @@ class ObjectSpec:
     """`find`: rotations that keep the shape are symmetries (`propose_symmetries`), even if a print tells them apart."""
     mass: float | None = None
     """Mass [kg]; it replaces that of an object in the library."""
+    sigma_mass: float | None = None
+    """Standard deviation of the mass [kg]; None: 3 % of it."""
     center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
     """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
     sigma_center_of_mass: float | None = None
@@ -62,5 +64,11 @@ class ObjectSpec:
         if center is None:
             center = model.center_of_mass
             sigma = model.sigma_center_of_mass
-        mass = model.mass if self.mass is None else self.mass
-        return model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
+        mass = self.mass
+        sigma_mass = self.sigma_mass
+        if mass is None:
+            mass = model.mass
+            sigma_mass = model.sigma_mass or None
+        return model.with_weight(
+            mass=mass, sigma_mass=sigma_mass, center_of_mass=center, sigma_center_of_mass=sigma
+        )

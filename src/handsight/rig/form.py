@@ -506,6 +506,7 @@ class ObjectForm(ShapeForm):
 
     symmetries: Literal["find"] | None = None
     mass: Annotated[Positive | None, key(kilograms=100)] = None
+    sigma_mass: Annotated[Positive | None, key("kg; without it, 3 % of the mass", kilograms=100)] = None
     center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
     sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None
     friction: Annotated[Friction | None, key("with the fingertips; without it, it is learnt")] = None
@@ -514,7 +515,7 @@ class ObjectForm(ShapeForm):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("center_of_mass", "friction"):
+        for name in ("mass", "center_of_mass", "friction"):
             if getattr(self, f"sigma_{name}") is not None and getattr(self, name) is None:
                 raise ValueError(f"sigma_{name}: expected beside {name} only, got it alone")
 

@@ -186,7 +186,7 @@ class Follower:
                 state = self._regrasped(state, change, before.lasted)
             T = state.belief.known.now.T_palm_object
             slip = state.slip.copied()
-            motion = slip.update(state.stamp, tips, T)
+            motion = slip.update(state.stamp, tips, T, belief.T_world_palm)
             if motion is not None:
                 state = replace(state, belief=state.belief.slipped(motion))
             state = replace(state, slip=slip)

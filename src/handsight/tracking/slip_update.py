@@ -24,6 +24,7 @@ ONSET_DELAY = 0.03  # how long before its detection a slip may have begun [s]
 SLIP_PERIOD = 0.02  # time between corrections while the object slips [s]
 
 
+EYE = np.eye(3)
 ISOTROPIC = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 """Covariance (6, 6) of a motion by one metre in an unknown direction."""
 
@@ -50,14 +51,22 @@ class SlipUpdate:
         """Whether the object slips, after the last observation."""
         return self.detector.now
 
-    def update(self, stamp: float, fingertips: FingertipContacts, T_palm_object: Array) -> Array | None:
+    def update(
+        self,
+        stamp: float,
+        fingertips: FingertipContacts,
+        T_palm_object: Array,
+        T_world_palm: Array | None = None,
+    ) -> Array | None:
         """Returns the covariance (6, 6) of the motion that an observation's loads add to an object at T_palm_object
         (4, 4) [m², rad²]; None where it does not slip.
 
-        A slip keeps its direction, so its sigma, not its variance, grows in proportion to time.
+        Without T_world_palm (4, 4), a load that a turn of the palm turns seems to have turned by itself. A slip keeps
+        its direction, so its sigma, not its variance, grows in proportion to time.
         """
         contacts, loads = fingertips.contacts, fingertips.loads
-        now = self.detector.update(stamp, fingertips.fingers, loads, fingertips.by_taxels)
+        R_world_palm = EYE if T_world_palm is None else T_world_palm[:3, :3]
+        now = self.detector.update(stamp, fingertips.fingers, loads, fingertips.by_taxels, R_world_palm)
         if not now.slipping or contacts is None or loads is None:
             self._sigma = 0.0
             return None

@@ -82,7 +82,7 @@ class Library:
         where = f"{entry.place}: {entry.file}: symmetries"
         check_symmetries(model, model.symmetries, where, tolerance=SURFACE_TOLERANCE)
         if facts := entry.facts:
-            model = model.with_weight(
+            model = replace(model, sigma_scale=facts.sigma_scale).with_weight(
                 mass=facts.mass,
                 center_of_mass=facts.center_of_mass,
                 sigma_center_of_mass=facts.sigma_center_of_mass,
