@@ -1,6 +1,8 @@
 """An object followed from image to image: where it is, when it is lost, and when its pose is not known."""
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 
 import numpy as np
 import pytest
@@ -265,6 +267,27 @@ def test_a_late_image_is_answered_and_changes_nothing():
     assert late.state == "tracking"
     after = [tracker.update(6 * DT, images[6], table=table.plane) for tracker in (first, second)]
     np.testing.assert_array_equal(after[0].T_camera_object, after[1].T_camera_object)
+
+
+def test_copies_answer_in_several_threads_as_in_one():
+    table = Table(6)
+    tracker = table.tracker(at())
+    images = [table.depth(at(0.1 * k * DT)) for k in range(20)]
+    tracker.update(0.0, images[0], table=table.plane)
+    copies = [copy(tracker) for _ in range(5)]
+
+    def poses(each):
+        stamps = DT * np.arange(1, len(images))
+        seen = [
+            each.update(stamp, image, table=table.plane)
+            for stamp, image in zip(stamps, images[1:], strict=True)
+        ]
+        return np.array([sighting.T_camera_object for sighting in seen])
+
+    expected = poses(copies[0])
+    with ThreadPoolExecutor(4) as threads:
+        for found in threads.map(poses, copies[1:]):
+            np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("jump", [0.0, 3.0, -3.0])

@@ -1,5 +1,6 @@
 """The pose of an object in a depth image near where it is expected, refined and scored."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_image, depth_term, outline, pinhole, pose_score
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
@@ -41,16 +42,23 @@ class RefinedPose(NamedTuple):
     points: int  # points near the surface
 
 
-class PoseRefiner:
-    """Refines poses of one object, image by image; it keeps a copy of the part that it reads."""
+class _Part(NamedTuple):
+    """The part of a depth image that shows about where an object is; elsewhere it has no depth."""
 
-    def __init__(self, model: ObjectModel, camera: Camera, noise: DepthNoise) -> None:
-        """`noise`: of the camera's depth."""
-        self.model, self.camera, self.noise = model, camera, noise
-        self._depth = np.zeros(camera.size[::-1], dtype=np.float32)
-        self._labels = np.full(camera.size[::-1], OUT, dtype=np.int32)
-        self._window = np.zeros(1, dtype=WINDOW)
-        self._window["plane_within"] = TABLE_WITHIN
+    image: tuple[Array, NDArray[np.float32], NDArray[np.int32]]
+    """Rays (h, w, 2), depth (h, w) [m] and labels (h, w): 0, or `HAND`, or `OUT` on the table."""
+    window: NDArray[np.void]
+    """WINDOW (1,)"""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseRefiner:
+    """Refines poses of one object, image by image; several threads may use it at once."""
+
+    model: ObjectModel
+    camera: Camera
+    noise: DepthNoise
+    """Of the camera's depth."""
 
     def at(
         self,
@@ -68,15 +76,15 @@ class PoseRefiner:
         it holds directions that hardly any point observes. T_at_rest (4, 4): the pose is first refined on points that
         the expected one explains, unless the image supports this one better; None: it is searched more widely.
         """
-        self._take(T_expected, depth, hand, table)
+        part = self._part(T_expected, depth, hand, table)
         z = center_depths(self.model, candidates_at(T_expected[None]))
         bound = float(explained_within(self.noise, z)[0])
         wide = REFINER_WITHIN * self.model.diameter
         best = None
         if T_at_rest is not None:
-            best = self._moved(T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
+            best = self._moved(part, T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
         if best is None or not support_share(best[0]) > REFINER_GOOD:
-            found = self._moved(T_expected, known, wide, STAGES, None)
+            found = self._moved(part, T_expected, known, wide, STAGES, None)
             if best is None or support(found[0]) > support(best[0]):
                 best = found
         candidate, points = best
@@ -85,17 +93,23 @@ class PoseRefiner:
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
 
     def _moved(
-        self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void], other: Array | None
+        self,
+        part: _Part,
+        T_expected: Array,
+        known: Array,
+        within: float,
+        stages: NDArray[np.void],
+        other: Array | None,
     ) -> tuple[Candidates, NDArray[np.void]]:
         """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
         It is the other pose (4, 4) if the image supports that better."""
         candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
         candidate = candidates[:1]
         record = self.model.record[:2]
-        image = self.camera.rays, self._depth, self._labels
+        image, window = part
         points = np.zeros(MAX_POINTS, dtype=DEPTH_POINT)
-        self._window["within"] = within
-        points = points[: depth_image.near_points(record, image, self._window, candidate, points)]
+        window["within"] = within
+        points = points[: depth_image.near_points(record, image, window, candidate, points)]
         z = center_depths(self.model, candidates)
         candidates["bound"] = explained_within(self.noise, z)
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
@@ -107,15 +121,11 @@ class PoseRefiner:
         gain = 1 + REFINER_CREEP * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
-        outline.find_continued(self.camera.record, record, image, self._window, candidate)
+        outline.find_continued(self.camera.record, record, image, window, candidate)
         return candidate, points
 
-    def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
-        """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""
-        window = self._window[0]
-        last = slice(*window["rows"]), slice(*window["columns"])
-        self._depth[last] = 0
-        self._labels[last] = OUT
+    def _part(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> _Part:
+        """Returns the box of an image around the object's silhouette at a pose."""
         points = se3.apply(T, self.model.points_object)
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.camera.record, points, pixels)
@@ -128,15 +138,22 @@ class PoseRefiner:
             (left, top), (right, bottom) = ends.astype(int).tolist()
         box = slice(top, bottom), slice(left, right)
         shown = depth[box]
-        self._depth[box] = np.where(np.isfinite(shown), shown, 0)
-        self._labels[box] = 0 if hand is None else np.where(hand[box], HAND, 0)
+        known = np.zeros(depth.shape, dtype=np.float32)
+        labels = np.zeros(depth.shape, dtype=np.int32)
+        known[box] = np.where(np.isfinite(shown), shown, 0)
+        if hand is not None:
+            labels[box] = np.where(hand[box], HAND, 0)
+        window = np.zeros(1, dtype=WINDOW)
         window["rows"] = top, bottom
         window["columns"] = left, right
         area = (bottom - top) * (right - left)
         window["step"] = max(1, round(float(np.sqrt(area / MAX_PIXELS))))
+        image = self.camera.rays, known, labels
         if table is not None:
             window["plane"] = table
-            depth_image.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)
+            window["plane_within"] = TABLE_WITHIN
+            depth_image.leave_out_plane(image, window)
+        return _Part(image, window)
 
 
 def against(candidate: Candidates) -> float:
