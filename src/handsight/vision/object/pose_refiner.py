@@ -16,17 +16,20 @@ from handsight.objects import ObjectModel
 from handsight.vision.candidates import Candidates, candidates_at, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import explained_within
+from handsight.vision.object.first_pose import explained_within, log_odds
 from handsight.vision.object.region import TABLE_WITHIN
 
 REFINER_WITHIN = 0.12  # distance from the expected surface within which a point counts [diameters]
 REFINER_MARGIN = 0.15  # around the object's silhouette, in which points are gathered [diameters]
 MAX_POINTS = 400  # points that refine a pose
 MAX_PIXELS = 2000  # pixels of the window that they are chosen from
+REFINER_BESIDE = 1200  # pixels about a pose that show whether the surface goes on beyond it
 REFINER_CREEP = 0.04  # more explained pixels that a moved pose must have than one at rest
-REFINER_GOOD = 0.7  # fit of a pose, for points farther from the expected one not to be tried
-REFINER_CONTINUED = 3  # pixels against a pose that one counts for where the surface goes on beside it
 COVARIANCE_POINTS = 50  # of these points, by which the covariance is computed
+MAX_RMS = 1.3  # of the distances of the explained pixels, above which they contradict a pose [their sigma]
+RMS_WEIGHT = (4, 1.5)
+"""Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
+than they are declared."""
 
 STAGES = np.array([(0, 0.12, 0.05, 4, 4), (1, 0.05, 0.0, 3, 1)], dtype=STAGE)
 """How the pose is moved to the points, with bounds in diameters."""
@@ -40,12 +43,14 @@ class RefinedPose(NamedTuple):
     pose_camera_object: GaussianPose
     candidate: Candidates  # CANDIDATE (1,)
     points: int  # points near the surface
+    odds: float
+    """Log odds that the object is there, as those of a first pose."""
 
 
 class _Part(NamedTuple):
     """The part of a depth image that shows about where an object is; elsewhere it has no depth."""
 
-    image: tuple[Array, NDArray[np.float32], NDArray[np.int32]]
+    image: tuple[Depth, Depth, NDArray[np.int32]]
     """Rays (h, w, 2), depth (h, w) [m] and labels (h, w): 0, or `HAND`, or `OUT` on the table."""
     window: NDArray[np.void]
     """WINDOW (1,)"""
@@ -68,29 +73,29 @@ class PoseRefiner:
         hand: Mask | None,
         table: Array | None,
         *,
+        prior: float = 0.0,
         T_at_rest: Array | None = None,
     ) -> RefinedPose:
         """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
         known (6, 6): the information of the expected pose by (δp, δθ) of the object's centre along the camera's axes;
-        it holds directions that hardly any point observes. T_at_rest (4, 4): the pose is first refined on points that
-        the expected one explains, unless the image supports this one better; None: it is searched more widely.
+        it holds directions that hardly any point observes. prior: the log odds that the object is there, before the
+        image. T_at_rest (4, 4): the pose is first refined on points that the expected one explains, unless the image
+        supports this one better; it is searched more widely only if it is more probably wrong. None: it is searched
+        more widely.
         """
         part = self._part(T_expected, depth, hand, table)
-        z = center_depths(self.model, candidates_at(T_expected[None]))
-        bound = float(explained_within(self.noise, z)[0])
-        wide = REFINER_WITHIN * self.model.diameter
         best = None
         if T_at_rest is not None:
+            z = center_depths(self.model, candidates_at(T_expected[None]))
+            bound = float(explained_within(self.noise, z)[0])
             best = self._moved(part, T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
-        if best is None or not support_share(best[0]) > REFINER_GOOD:
+        if best is None or best.odds + prior < 0:
+            wide = REFINER_WITHIN * self.model.diameter
             found = self._moved(part, T_expected, known, wide, STAGES, None)
-            if best is None or support(found[0]) > support(best[0]):
+            if best is None or found.odds > best.odds:
                 best = found
-        candidate, points = best
-        some = np.ascontiguousarray(points[:: max(len(points) // COVARIANCE_POINTS, 1)])
-        covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
-        return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
+        return best._replace(odds=best.odds + prior)
 
     def _moved(
         self,
@@ -100,11 +105,12 @@ class PoseRefiner:
         within: float,
         stages: NDArray[np.void],
         other: Array | None,
-    ) -> tuple[Candidates, NDArray[np.void]]:
-        """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
-        It is the other pose (4, 4) if the image supports that better."""
+    ) -> RefinedPose:
+        """Returns the expected pose, moved to the points of the image within so far of it [m], or the other pose (4, 4)
+        if the image supports that better."""
         candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
         candidate = candidates[:1]
+        camera = self.camera.record
         record = self.model.record[:2]
         image, window = part
         points = np.zeros(MAX_POINTS, dtype=DEPTH_POINT)
@@ -116,13 +122,27 @@ class PoseRefiner:
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides = appearance_of(self.model).sides
         center = self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
+        pose_score.score_all(camera, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
         # A little more support is noise, or the model's error: what does not move must not creep.
         gain = 1 + REFINER_CREEP * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
-        outline.find_continued(self.camera.record, record, image, window, candidate)
-        return candidate, points
+        outline.follow_outlines(camera, record, image, REFINER_BESIDE, candidate)
+        outline.cross_outlines(camera, record, image, candidate)
+        odds = float(log_odds(candidate)[0]) - self._misfit(candidate)
+        some = np.ascontiguousarray(points[:: max(len(points) // COVARIANCE_POINTS, 1)])
+        covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
+        pose = GaussianPose(poses_of(candidate)[0], covariance)
+        return RefinedPose(pose, candidate, len(points), odds)
+
+    def _misfit(self, candidate: Candidates) -> float:
+        """Returns what the distances of the pixels that CANDIDATE (1,) explains take from its log odds."""
+        z = center_depths(self.model, candidate)
+        within_pixel = z / (np.sqrt(12) * self.camera.matrix[0, 0])  # of a surface that is slanted by 45°
+        sigma = np.hypot(np.hypot(self.noise.sigma(z), self.noise.bias(z)), within_pixel)
+        worse = float((candidate["rms"] / sigma)[0]) - MAX_RMS
+        slope, most = RMS_WEIGHT
+        return min(slope * max(worse, 0.0), most)
 
     def _part(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> _Part:
         """Returns the box of an image around the object's silhouette at a pose."""
@@ -138,8 +158,8 @@ class PoseRefiner:
             (left, top), (right, bottom) = ends.astype(int).tolist()
         box = slice(top, bottom), slice(left, right)
         shown = depth[box]
-        known = np.zeros(depth.shape, dtype=np.float32)
-        labels = np.zeros(depth.shape, dtype=np.int32)
+        known: Depth = np.zeros(depth.shape, dtype=np.float32)
+        labels: NDArray[np.int32] = np.zeros(depth.shape, dtype=np.int32)
         known[box] = np.where(np.isfinite(shown), shown, 0)
         if hand is not None:
             labels[box] = np.where(hand[box], HAND, 0)
@@ -154,19 +174,3 @@ class PoseRefiner:
             window["plane_within"] = TABLE_WITHIN
             depth_image.leave_out_plane(image, window)
         return _Part(image, window)
-
-
-def against(candidate: Candidates) -> float:
-    """Returns the pixels that contradict CANDIDATE (1,): the camera sees past it, or the surface goes on beside it."""
-    return float(candidate["passed"][0] + REFINER_CONTINUED * candidate["unexplained"][0])
-
-
-def support(candidate: Candidates) -> float:
-    """Returns the pixels that CANDIDATE (1,) explains, less those against it, which weigh twice as much."""
-    return float(candidate["explained"][0]) - 2 * against(candidate)
-
-
-def support_share(candidate: Candidates) -> float:
-    """Returns the share of the pixels that CANDIDATE (1,) explains among these and those against it."""
-    explained = float(candidate["explained"][0])
-    return explained / max(explained + against(candidate), 1.0)
