@@ -40,7 +40,8 @@ MIN_PASSED = (
     30  # pixels that the camera sees past a pose, for an image to contradict one that it hardly shows
 )
 FOLLOWED, LOST = 2.2, -1.8
-"""Log odds, before an image, that an object is where it is expected: it was there in the last image, or it was not."""
+"""Log odds, before an image, that an object is where it is expected: it was there in the last image, or was not."""
+LEAST_SHOWN = 0.05  # share of its pixels, below which it is not asked how few show it
 TRACK_UNCERTAIN = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
 TRACK_LOST = 0.12  # and beyond which a hidden object is lost [diameters]
 MIN_TWIN = 0.05
@@ -160,13 +161,13 @@ class DepthTracker:
         reasons = list[str]()
         candidate = np.zeros(1, dtype=CANDIDATE)
         for track in self._places(image, predicted, hint):
-            refined = self._refined(image, track)
-            reason = self._misfit(image, track, refined)
-            if not reason:
-                return self._followed(image, track, refined)
-            if not reasons:
-                candidate = refined.candidate
-            reasons.append(reason)
+            for refined, prior in self._looks(image, track):
+                reason = self._misfit(image, track, refined, prior)
+                if not reason:
+                    return self._followed(image, track, refined)
+                if not reasons:
+                    candidate = refined.candidate
+                reasons.append(reason)
         self._track = predicted and replace(predicted, prior=LOST, seen=-np.inf)
         reason = reasons[0] if reasons else self._absent
         return Sighting(image.stamp, None, None, "lost", reason, candidate)
@@ -210,31 +211,36 @@ class DepthTracker:
             velocity=velocity,
         )
 
-    def _refined(self, image: _Image, track: _Track) -> RefinedPose:
-        """Returns what an image says near where the object is expected."""
+    def _looks(self, image: _Image, track: _Track) -> Iterator[tuple[RefinedPose, float]]:
+        """Yields what an image says of an object that moves as expected, and if it moves otherwise, each with the log
+        odds before the image."""
+        moves = track.velocity is not None or image.rides
+        drift = DRIFT_IN_PALM if moves else TRACK_DRIFT
+        yield self._refined(image, track, drift, track.T_at_rest), track.prior
+        seen = track.seen > -np.inf
+        yield self._refined(image, track, TRACK_DRIFT, None), min(track.prior, 0.0) if seen else track.prior
+
+    def _refined(self, image: _Image, track: _Track, drift: float, T_at_rest: Array | None) -> RefinedPose:
+        """Returns the pose that an image gives from the expected one on, from which it drifts so fast [m/s]."""
         since = max(image.stamp - track.seen, ONE_INSTANT)
         unknown = np.array(UNKNOWN) * self.model.diameter
-        drift = TRACK_DRIFT if track.velocity is None and not image.rides else DRIFT_IN_PALM
         sigma_shift, sigma_turn = np.minimum(drift * since, unknown) / (1.0, self.model.radius)
         known = np.diag(np.repeat([sigma_shift**-2, sigma_turn**-2], 3))
-        return self._refiner.at(
-            track.T_camera_object,
-            known,
-            image.depth,
-            image.hand,
-            image.table,
-            prior=track.prior,
-            T_at_rest=track.T_at_rest,
-        )
+        T = track.T_camera_object
+        return self._refiner.at(T, known, image.depth, image.hand, image.table, T_at_rest=T_at_rest)
 
-    def _misfit(self, image: _Image, track: _Track, refined: RefinedPose) -> str:
+    def _misfit(self, image: _Image, track: _Track, refined: RefinedPose, prior: float) -> str:
         """Returns why the object is not where it was expected; empty if it may be."""
         enough = _is_enough(refined)
         candidate = refined.candidate[0]
-        odds = refined.odds
-        if not track.seen > -np.inf:
-            # A pose from elsewhere that would be hidden may be one on the surface of what hides it.
-            odds -= max(track.prior, 0.0) * candidate["hidden"] / max(candidate["expected"], 1.0)
+        shown = max(1 - candidate["hidden"] / max(candidate["expected"], 1.0), LEAST_SHOWN)
+        if (
+            track.seen > -np.inf
+        ):  # the fewer pixels show an object that was there, the less they contradict it
+            prior = prior * shown**-0.5
+        elif prior > 0:  # what would be hidden may be a part of the surface of what hides it
+            prior = prior * shown
+        odds = refined.odds + prior
         if odds < 0 and (enough or candidate["passed"] > MIN_PASSED):
             probability = 1 / (1 + np.exp(-odds))
             return f"it is where it was expected with a probability of {probability:.2f} only"

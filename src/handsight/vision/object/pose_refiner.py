@@ -73,29 +73,21 @@ class PoseRefiner:
         hand: Mask | None,
         table: Array | None,
         *,
-        prior: float = 0.0,
         T_at_rest: Array | None = None,
     ) -> RefinedPose:
         """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
         known (6, 6): the information of the expected pose by (δp, δθ) of the object's centre along the camera's axes;
-        it holds directions that hardly any point observes. prior: the log odds that the object is there, before the
-        image. T_at_rest (4, 4): the pose is first refined on points that the expected one explains, unless the image
-        supports this one better; it is searched more widely only if it is more probably wrong. None: it is searched
-        more widely.
+        it holds directions that hardly any point observes. T_at_rest (4, 4): the pose is only refined on points that
+        the expected one explains, unless the image supports this one better; None: it is searched more widely.
         """
         part = self._part(T_expected, depth, hand, table)
-        best = None
-        if T_at_rest is not None:
-            z = center_depths(self.model, candidates_at(T_expected[None]))
-            bound = float(explained_within(self.noise, z)[0])
-            best = self._moved(part, T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
-        if best is None or best.odds + prior < 0:
+        if T_at_rest is None:
             wide = REFINER_WITHIN * self.model.diameter
-            found = self._moved(part, T_expected, known, wide, STAGES, None)
-            if best is None or found.odds > best.odds:
-                best = found
-        return best._replace(odds=best.odds + prior)
+            return self._moved(part, T_expected, known, wide, STAGES, None)
+        z = center_depths(self.model, candidates_at(T_expected[None]))
+        near = 2 * float(explained_within(self.noise, z)[0])
+        return self._moved(part, T_expected, known, near, NEAR_STAGES, T_at_rest)
 
     def _moved(
         self,
