@@ -233,13 +233,12 @@ class DepthTracker:
         """Returns why the object is not where it was expected; empty if it may be."""
         enough = _is_enough(refined)
         candidate = refined.candidate[0]
-        shown = max(1 - candidate["hidden"] / max(candidate["expected"], 1.0), LEAST_SHOWN)
         if (
             track.seen > -np.inf
         ):  # the fewer pixels show an object that was there, the less they contradict it
-            prior = prior * shown**-0.5
-        elif prior > 0:  # what would be hidden may be a part of the surface of what hides it
-            prior = prior * shown
+            prior = prior * max(refined.shown, LEAST_SHOWN) ** -0.5
+        elif prior > 0:  # what would be hidden, and not by the hand, may be a part of what hides it
+            prior = prior * (1 - candidate["hidden"] / max(candidate["expected"], 1.0))
         odds = refined.odds + prior
         if odds < 0 and (enough or candidate["passed"] > MIN_PASSED):
             probability = 1 / (1 + np.exp(-odds))

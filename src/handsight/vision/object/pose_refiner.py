@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_image, depth_term, outline, pinhole, pose_score
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, STAGE, WINDOW
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
@@ -45,6 +45,8 @@ class RefinedPose(NamedTuple):
     points: int  # points near the surface
     odds: float
     """Log odds that the object is there, as those of a first pose."""
+    shown: float
+    """Share of its pixels that neither the hand nor anything else hides."""
 
 
 class _Part(NamedTuple):
@@ -125,7 +127,17 @@ class PoseRefiner:
         some = np.ascontiguousarray(points[:: max(len(points) // COVARIANCE_POINTS, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         pose = GaussianPose(poses_of(candidate)[0], covariance)
-        return RefinedPose(pose, candidate, len(points), odds)
+        return RefinedPose(pose, candidate, len(points), odds, self._shown(part, candidate))
+
+    def _shown(self, part: _Part, candidate: Candidates) -> float:
+        """Returns the share of the object's pixels at CANDIDATE (1,) that nothing hides."""
+        whole = candidate.copy()
+        _, depth, labels = part.image
+        sides = appearance_of(self.model).sides
+        image = depth, np.maximum(labels, OUT)  # a hand hides as anything else does
+        center = self.model.center_object
+        pose_score.score_all(self.camera.record, image, sides, center, whole, pose_score.NOT_ASKED)
+        return 1 - float(whole["hidden"][0]) / max(float(whole["expected"][0]), 1.0)
 
     def _misfit(self, candidate: Candidates) -> float:
         """Returns what the distances of the pixels that CANDIDATE (1,) explains take from its log odds."""
