@@ -4,6 +4,7 @@ import copy
 import pickle
 import threading
 import time
+import warnings
 from collections import deque
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import PoseMeasurement
 from handsight.tracking import TrackerSettings, follower
 from handsight.tracking.camera_from_palm import CameraFromPalm
-from handsight.tracking.concurrent_images import ConcurrentImages
+from handsight.tracking.concurrent_images import ConcurrentImages, ImageWarning
 from handsight.tracking.images import ImageResult, Instant, ObjectInImages, TakenImage
 from handsight.vision import locate
 from tests.tracking.test_images import error, pictures, rig_with_images
@@ -158,16 +159,53 @@ def test_the_thread_answers_what_the_images_would_and_a_copy_starts_anew(can):
         assert answer(copied).vision is not None
 
 
-def test_what_a_source_of_first_poses_raises_is_named_and_the_next_image_is_evaluated(can):
+def wait_for_a_failure(followed):
+    while "failed" not in followed.counts:
+        assert followed.evaluated(None) is None
+        time.sleep(0.01)
+
+
+def test_what_a_source_of_first_poses_raises_is_said_and_the_next_image_is_evaluated(can):
     rig = rig_with_images(can.rig)
     observation = pictures(rig, can.model, can.samples[:1], every=1)[0]
     followed = ConcurrentImages(rig, can.model)
     followed.evaluated(taken_image(rig, observation)._replace(source=pytest.main))
-    with pytest.raises(InvalidInput) as error:
-        answer(followed)
-    assert error.value.field == "observation.depth"
+    with pytest.warns(ImageWarning):
+        wait_for_a_failure(followed)
+    assert followed.counts["failed"] == 1
     followed.evaluated(taken_image(rig, observation))
     assert answer(followed).hand is not None
+
+
+def test_an_observation_is_not_refused_for_an_earlier_image(can):
+    """The source of first poses fails in the first image; the observations after it are used."""
+    rig = rig_with_images(can.rig)
+    asked = []
+
+    def failing(*given, **known):
+        asked.append(len(asked))
+        if len(asked) == 1:
+            raise OSError("no network")
+        return locate(*given, **known)
+
+    tracker = hs.Tracker(rig, can.model, settings=SETTINGS, source=failing)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for observation in pictures(rig, can.model, can.samples[:40], every=3):
+            tracker.update(observation)
+            time.sleep(0.05)
+    assert [each.category for each in said] == [ImageWarning]
+    assert tracker.refused == 0
+    assert tracker.images["failed"] == 1
+    assert tracker.images["object_seen"] > 0
+
+
+def test_an_image_that_is_not_in_metres_is_refused_at_once(can):
+    rig = rig_with_images(can.rig)
+    observation = pictures(rig, can.model, can.samples[:1], every=1)[0]
+    millimetres = replace(observation, depth=1000 * observation.depth)
+    with pytest.raises(InvalidInput):
+        ConcurrentImages(rig, can.model).evaluated(taken_image(rig, millimetres))
 
 
 def test_a_tracker_that_is_closed_ends_its_thread_after_the_image_that_it_evaluates(can):

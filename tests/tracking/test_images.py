@@ -1,5 +1,7 @@
 """A tracker with depth images: images alone, a misplaced camera, and images that cannot be the camera's."""
 
+import copy
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 
@@ -274,6 +276,22 @@ def test_an_image_far_ahead_measures_nothing(can, seen):
         if one is not None:
             np.testing.assert_allclose(one.T_palm_object, other.T_palm_object, atol=1e-12)
     assert tracker.late == 1
+
+
+def test_copies_of_a_tracker_answer_in_several_threads_as_in_one(can, seen):
+    """They begin with the same state, and each is updated by one thread."""
+    rig, observations = seen
+    tracker = followed(rig, can.model, observations[:20])
+    copies = [copy.copy(tracker) for _ in range(5)]
+
+    def poses_of(each):
+        answers = [each.update(observation) for observation in observations[20:80]]
+        return np.array([answer.T_palm_object for answer in answers])
+
+    expected = poses_of(copies[0])
+    with ThreadPoolExecutor(4) as threads:
+        for found in threads.map(poses_of, copies[1:]):
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_a_live_tracker_uses_images_as_a_replay_does(can, seen, tmp_path):

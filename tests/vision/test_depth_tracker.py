@@ -1,6 +1,8 @@
 """An object followed from image to image: where it is, when it is lost, and when its pose is not known."""
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 
 import numpy as np
 import pytest
@@ -9,8 +11,8 @@ import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
 from handsight.errors import InvalidInput, InvalidTransform
-from handsight.vision import DepthTracker
-from handsight.vision.object.depth_tracker import MAX_GAP, SEARCH_PERIOD
+from handsight.vision import DepthTracker, ObjectDetection
+from handsight.vision.object.depth_tracker import MAX_GAP
 from testbed.refusals import refused
 from testbed.sequences import jug
 from testbed.sight_scenes import CAMERA, drawn, letter, looking, noisy
@@ -45,6 +47,11 @@ class Table:
         return np.linalg.norm(
             se3.apply(sighting.T_camera_object, model().points_object) - there, axis=1
         ).max()
+
+
+def nowhere(*_, **__):
+    """A source that never finds anything."""
+    return ObjectDetection.nowhere("not asked")
 
 
 def at(x=0.0, y=0.0, turn=0.0):
@@ -198,14 +205,13 @@ def test_in_a_grip_it_rides_with_the_palm():
     """Farther, from one image to the next, than it could be followed."""
     table, palm = Table(3), se3.random(np.random.default_rng(1))
     for gripped in (True, False):
-        tracker = table.tracker(at())
+        tracker = table.tracker(at(), source=nowhere)  # it is not to be found, but to be followed
         for k, T in enumerate([at(), at(), at(0.07, 0.03, 0.9)]):
             there = table.T_camera_table @ T
             depth = table.depth(T)
             sighting = tracker.update(
                 k * DT, depth, table=table.plane, T_camera_palm=there @ palm, gripped=gripped
             )
-            tracker._searched = k * DT  # it is not to be found, but to be followed
         assert (sighting.state == "tracking" and table.off(sighting, T) < 3e-3) == gripped
 
 
@@ -267,6 +273,27 @@ def test_a_late_image_is_answered_and_changes_nothing():
     np.testing.assert_array_equal(after[0].T_camera_object, after[1].T_camera_object)
 
 
+def test_copies_answer_in_several_threads_as_in_one():
+    table = Table(6)
+    tracker = table.tracker(at())
+    images = [table.depth(at(0.1 * k * DT)) for k in range(20)]
+    tracker.update(0.0, images[0], table=table.plane)
+    copies = [copy(tracker) for _ in range(5)]
+
+    def poses(each):
+        stamps = DT * np.arange(1, len(images))
+        seen = [
+            each.update(stamp, image, table=table.plane)
+            for stamp, image in zip(stamps, images[1:], strict=True)
+        ]
+        return np.array([sighting.T_camera_object for sighting in seen])
+
+    expected = poses(copies[0])
+    with ThreadPoolExecutor(4) as threads:
+        for found in threads.map(poses, copies[1:]):
+            np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("jump", [0.0, 3.0, -3.0])
 def test_equal_and_jumping_stamps_are_borne(jump):
     table = Table(7)
@@ -308,12 +335,10 @@ def test_it_does_not_matter_how_an_image_is_stored():
 
 def test_the_initial_pose_may_be_given():
     table = Table(1)
-    tracker = table.tracker(at())
+    tracker = table.tracker(at(), source=nowhere)
     tracker.update(0.0, table.depth(at()), table=table.plane)
     there = at(0.08, 0.05, 2.0)
-    tracker._searched = 0.0
     told = table.T_camera_table @ there
-    assert SEARCH_PERIOD > DT
     assert tracker.update(DT, table.depth(there), table=table.plane).state == "lost"
     sighting = tracker.update(2 * DT, table.depth(there), table=table.plane, expected=told)
     assert sighting.state == "tracking"
@@ -341,6 +366,22 @@ def test_wrong_input_raises():
             tracker.update(0.0, table.depth(at()), **{name: np.zeros((4, 4))})
     with refused(InvalidTransform, "start"):
         DepthTracker(model(), CAMERA, start=np.zeros((4, 4)))
+
+
+def test_what_is_followed_far_from_where_it_is_expected_is_another_one_if_it_is_seen_there_too():
+    """Two letters on a table: one is followed, and the hand is told to hold the other, and then to hold nothing seen."""
+    table = Table(1)
+    first, second = at(-0.07), at(0.07, 0.02)
+    tracker = table.tracker(first, source=nowhere)
+    images = [table.depth(first, second) for _ in range(4)]
+    empty = at(0.0, 0.2)
+    expected = [None, second, empty, None]
+    there = [first, second, second, second]
+    for k, image in enumerate(images):
+        hint = None if expected[k] is None else table.T_camera_table @ expected[k]
+        sighting = tracker.update(k * DT, image, table=table.plane, expected=hint)
+        assert sighting.state == "tracking"
+        assert table.off(sighting, there[k]) < 4e-3
 
 
 @pytest.mark.parametrize("width", [64, 80, 160])

@@ -132,16 +132,16 @@ def test_what_is_no_such_image_is_said(name, change, field):
         locate(models()["letter"], arguments.pop("depth"), CAMERA, **arguments)
 
 
-def test_depth_ten_times_too_small_is_doubted():
-    """By `locate`, and by what follows an object; nothing is said of an object that is in no unit there."""
+def test_depth_in_which_an_object_would_be_wider_than_the_image_is_doubted():
+    """By `locate`, and by what follows an object, without another search; nothing is said of depth that may be right."""
     _, depth = picture("letter")
     found = locate(models()["letter"], depth / 10, CAMERA)
-    doubt = "; ten times as far it is found: depth in another unit (--depth-scale)?"
+    doubt = "it would be wider than the image: depth in another unit (--depth-scale)?"
     assert found.reason is not None
     assert found.reason.endswith(doubt)
     lost = DepthTracker(models()["letter"], CAMERA).update(0.0, depth / 10)
     assert (lost.state, lost.reason) == ("lost", f"not found: {found.reason}")
-    reason = locate(hs.ObjectModel.sphere(0.1), depth / 10, CAMERA).reason
+    reason = locate(hs.ObjectModel.sphere(0.1), depth, CAMERA).reason
     assert reason is not None
     assert doubt not in reason
 

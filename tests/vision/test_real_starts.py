@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.vision import locate
+from handsight.vision import DepthTracker, ObjectDetection, locate
 from testbed import real_frames
 
 NAMED = os.environ.get("HANDSIGHT_DATA")
@@ -39,6 +39,35 @@ def test_a_start_a_few_millimetres_off_is_the_answer_and_wrong_ones_are_not(most
     assert len(rows) >= 10
     assert answered.mean() > 0.8
     assert wrong.sum() == 0
+
+
+def nowhere(*_, **__):
+    """A source that never finds anything."""
+    return ObjectDetection.nowhere("not asked")
+
+
+def test_an_object_is_followed_from_its_true_pose_and_not_from_where_a_neighbour_is():
+    """Neighbours touch it, so that pixels go on beside it; at another place it may yet be moved to where it is."""
+    frames = real_frames.open_folder(DATA)
+    right, wrong, tried = list[bool](), list[bool](), 0
+    for read in frames.some(5):
+        frame = read()
+        depth = np.nan_to_num(frame.depth)
+        for one in frame.instances:
+            model = frames.models[one.name]
+            for other in frame.instances:
+                start = other.T_camera_object
+                tracker = DepthTracker(model, frame.camera, start=start, source=nowhere)
+                sighting = tracker.update(0.0, depth)
+                tried += other is not one
+                if other is one:
+                    right.append(sighting.state != "lost")
+                elif sighting.T_camera_object is not None:
+                    off = real_frames.add_s(model, one.T_camera_object, sighting.T_camera_object)
+                    wrong.append(sighting.state == "tracking" and off > 0.1)
+    assert len(right) > 60
+    assert np.mean(right) > 0.98
+    assert sum(wrong) < 0.01 * tried
 
 
 def test_what_is_so_far_away_that_depth_tells_no_shape_is_not_claimed():

@@ -3,13 +3,18 @@
 Kernels, which take most of an image's time, release the interpreter.
 """
 
+import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from handsight.camera import Camera
-from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.tracking.images import ImageResult, ObjectInImages, TakenImage
+from handsight.vision.object.region import check_metres
+
+
+class ImageWarning(UserWarning):
+    """An image that could not be evaluated, which no longer belongs to any observation."""
 
 
 class ConcurrentImages:
@@ -29,7 +34,7 @@ class ConcurrentImages:
         self.lost = True
         """Whether the last image that was answered did not show the object."""
         self.counts = dict(self._images.counts)
-        """Those of `ObjectInImages`, of the images that were answered."""
+        """Those of `ObjectInImages`, of the images that were answered, and how many `failed`, if any did."""
 
     def __reduce__(self) -> tuple[object, ...]:
         """Returns how a copy starts anew: an image that is being evaluated is not copied."""
@@ -44,29 +49,29 @@ class ConcurrentImages:
     def evaluated(self, image: TakenImage | None) -> ImageResult | None:
         """Takes the next image, if there is one; returns the result of an earlier one, None: none is ready.
 
-        Raises InvalidInput for an image, this or an earlier one, that cannot be used; the next one is evaluated.
+        Raises InvalidInput for an image that cannot be the camera's. One that fails later, as where a user's own source
+        raises, measures nothing: it is counted as `failed`, and a warning says why.
         """
         if image is not None:
-            self._camera.check_depth(image.depth, "observation.depth")
+            check_metres(self._camera.check_depth(image.depth, "observation.depth"))
             self._waiting = image
         running = self._running
         if running is not None and not running.done():
             return None
         self._running = None
-        if running is not None:
-            self.lost, self.counts = self._images.lost, self._images.counts
+        result = None if running is None else self._result(running)
         if self._waiting is not None:
             self._running = self._worker.submit(self._images.evaluated, self._waiting)
             self._waiting = None
-        return None if running is None else _answer(running)
+        return result
 
-
-def _answer(evaluated: Future[ImageResult | None]) -> ImageResult | None:
-    """Returns the result of an image; raises InvalidInput for an error of any kind, such as a user's own source's."""
-    try:
-        return evaluated.result()
-    except InvalidInput:
-        raise
-    except Exception as error:
-        expected = "expected an image that can be evaluated"
-        raise InvalidInput(f"observation.depth: {expected}, got {error!r}") from error
+    def _result(self, evaluated: Future[ImageResult | None]) -> ImageResult | None:
+        """Returns what an image has measured; None for one that failed."""
+        self.lost = self._images.lost
+        error = evaluated.exception()
+        if error is None:
+            self.counts = self.counts | self._images.counts
+            return evaluated.result()
+        self.counts = self.counts | self._images.counts | {"failed": self.counts.get("failed", 0) + 1}
+        warnings.warn(f"an image was not evaluated: {error!r}", ImageWarning, stacklevel=3)
+        return None

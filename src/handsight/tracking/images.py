@@ -23,7 +23,7 @@ from handsight.tracking.hints import SearchHints
 from handsight.tracking.smoother import STILL, Motion
 from handsight.vision import FirstPoseSource, PalmDetection
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
+from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
 from handsight.vision.palm.hand_in_image import HandInImage
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 CORRELATION_TIME = 1.0
 """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
-TWIN_DISTANCE = 0.4
-"""How far from where touch has it an object is followed that may be another one like it [diameters]."""
 PALM_PERIOD = 0.5
 """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
 SIGMA_PALM_POSITION = 0.01
@@ -230,19 +228,12 @@ class ObjectInImages:
         image = self._camera.check_depth(depth, "observation.depth")
         self._count("looked_at")
         view, mask, T_camera_palm = self._observe_hand(stamp, image, then, from_palm)
-        # Touch only says where to search for a lost object: a search that started from touch each time would return
-        # what touch has measured as if the camera had measured it too.
+        # Touch only says where to look for an object that is lost, or followed far from there: another of its kind. A
+        # search that started from touch each time would return what touch has measured as the camera's measurement.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
 
         seen: dict[str, Any] = {"hand": mask, "T_camera_palm": T_camera_palm, "gripped": expected is not None}
-        found = self.tracker.update(stamp, image, expected=expected if self.lost else None, **seen)
-        far = TWIN_DISTANCE * self.tracker.model.diameter
-        if expected is not None and self._distance(found, expected) > far:
-            # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
-            other = self.tracker.restarted(stamp, expected)
-            in_hand = other.update(stamp, image, **seen)
-            if in_hand.T_camera_object is not None:
-                self.tracker, found = other, in_hand
+        found = self.tracker.update(stamp, image, expected=expected, **seen)
         self.lost = found.T_camera_object is None
         # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
@@ -253,12 +244,6 @@ class ObjectInImages:
         self._detected_at = stamp
         pose = PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp)
         return ImageResult(pose, view)
-
-    def _distance(self, found: Sighting, expected: Array) -> float:
-        """Returns how far the middle of a found object is from where it is expected [m]; 0 for one that is lost."""
-        T = found.T_camera_object
-        center = np.append(self.tracker.model.center_object, 1.0)
-        return 0.0 if T is None else float(np.linalg.norm((T - expected)[:3] @ center))
 
     def _observe_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm

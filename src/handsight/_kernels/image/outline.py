@@ -12,15 +12,12 @@ from handsight._kernels.image.depth_image import normal_at, point_at
 from handsight._kernels.image.depth_term import is_far
 from handsight._kernels.image.pinhole import project, whole
 from handsight._kernels.image.pose_score import POSE_SCORE
-from handsight._kernels.image.vision_records import OUT
 from handsight._kernels.jit import entry, inner
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
 
 BESIDE = 0.06  # distance from the surface up to which points beside it are compared with it [diameters]
-INSIDE = 2.0
-"""From the outline to the visible surface that they are compared with, where one pose is followed [pixels]."""
 
 WAYS = 72
 STEPS = 12
@@ -38,69 +35,48 @@ UNSEEN = (0.1, 0.2)
 @inner
 def _within(camera: Any, image: Any, pixel: Any, nearest: Vec3, inset: float) -> tuple[int, int]:
     """Returns row and column so far inside [pixels] of the outline that a pixel is beside; -1: none that counts."""
-    (_, depth, labels), (v, u, least) = image, pixel
+    (_, depth, labels), (v, u) = image, pixel
     x, y = project(camera[0], nearest)
     length = max(((x - u) ** 2 + (y - v) ** 2) ** 0.5, 1e-9)
     row, column = whole(y + inset * (y - v) / length), whole(x + inset * (x - u) / length)
     if not (length > 0.5 and 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
         return -1, -1
-    return (row, column) if depth[row, column] > 0 and labels[row, column] >= least else (-1, -1)
+    return (row, column) if depth[row, column] > 0 and labels[row, column] >= 0 else (-1, -1)
 
 
 @inner
 def _beside(
-    camera: Any, surface: Any, image: Any, at: tuple[Any, Vec3, float, float], pixel: tuple[int, int, int]
-) -> int:
-    """Returns 1 for a pixel beside an object that continues its explained surface, -1 for one behind that, else 0.
+    camera: Any, surface: Any, image: Any, at: tuple[Any, Vec3, float, float], pixel: tuple[int, int]
+) -> bool:
+    """Returns whether a pixel is beside an object and continues its explained surface.
 
     surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m] and labels (h, w). at: the object's pose,
     its centre, the bound within which it explains a point, and how far inside of its outline the surface is that points
-    beside it are compared with [pixels]. pixel: row, column, the least label that counts.
+    beside it are compared with [pixels]. pixel: row and column.
     """
     (model, nodes), (rays, depth, labels) = surface, image
     pose, center, bound, inset = at
-    v, u, least = pixel
-    if not depth[v, u] > 0 or labels[v, u] < least:
-        return 0
+    v, u = pixel
+    if not depth[v, u] > 0 or labels[v, u] < 0:
+        return False
     P = point_at(rays, depth, v, u)
     beside = bound + BESIDE * 2 * model[0].radius
     if is_far(P, center, model[0].radius, beside):
-        return 0
+        return False
     distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
     if not bound < distance < beside:
-        return 0
+        return False
     g = mul(pose[0], gradient)
     nearest = sub(P, scale(g, distance / max(norm(g), 1e-9)))
     row, column = _within(camera, image, pixel, nearest, inset)
     if row < 0:
-        return 0
+        return False
     Q = point_at(rays, depth, row, column)
     inside, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, Q))
     normal = mul(pose[0], gradient)
     if not (abs(inside) < bound and dot(normal, Q) < -0.1 * norm(Q)):
-        return 0
-    off = dot(normal, sub(P, Q))
-    return 1 if abs(off) < bound else -1 if off < 0 else 0
-
-
-@entry
-def find_continued(camera: Any, surface: Any, image: Any, window: Any, candidates: Any) -> None:
-    """Fills in `unexplained` of CANDIDATE (k,): the pixels beside each that continue its explained surface, less those
-    that are behind it.
-
-    surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m] and labels (h, w). window: WINDOW (1,).
-    Pixels of the hand do not count.
-    """
-    here = window[0]
-    step = 2 * here.step
-    for k in range(len(candidates)):
-        pose = pose_of(candidates[k].pose)
-        count = 0
-        at = pose, apply(pose, vector(surface[0][0].center)), candidates[k].bound, INSIDE
-        for v in range(here.rows[0], here.rows[1], step):
-            for u in range(here.columns[0], here.columns[1], step):
-                count += _beside(camera, surface, image, at, (v, u, OUT))
-        candidates[k].unexplained = max(count, 0) * step**2
+        return False
+    return bool(abs(dot(normal, sub(P, Q))) < bound)
 
 
 @entry
@@ -133,7 +109,7 @@ def follow_outlines(camera: Any, surface: Any, image: Any, most: int, candidates
         at = pose, center, bound, bound * camera[0].fx / center[2]
         for v in range(top, bottom + 1, step):
             for u in range(left, right + 1, step):
-                count += _beside(camera, surface, image, at, (v, u, 0)) > 0
+                count += _beside(camera, surface, image, at, (v, u))
         # As if its silhouette were square.
         outline = 4 * np.sqrt(max(candidate.expected, 1.0)) * beside * camera[0].fx / center[2]
         candidate.unexplained = candidate.expected * min(count * step * step / outline, 1.0)
@@ -182,7 +158,7 @@ def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[
         if pixels > far:
             left -= min(pixels - 0.5 * (near + far), 0.25 * left + 1)
             continue
-        row, column = _within(camera, image, (v, u, 0), nearest, WITHIN)
+        row, column = _within(camera, image, (v, u), nearest, WITHIN)
         if row < 0:
             return u, v, 0
         Q = point_at(rays, depth, row, column)

@@ -1,13 +1,14 @@
 """An object's pose followed from depth image to depth image, at the camera's rate.
 
 Each image is searched near where the object is expected: an object in a grip moves with the palm, another goes on about
-as it moved before. What the image does not show of a pose stays as expected, with a covariance that grows: a jug whose
-handle is hidden fits at any turn, and only its covariance says so.
+as it moved before. The answer is what this one image says of the pose. What it does not show stays as expected, with a
+covariance as if nothing were known of it: a jug whose handle is hidden fits at any turn, and only its covariance says
+so.
 """
 
-from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,10 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import UNKNOWN, candidates_at, center_depths
+from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import FirstPoseSource, locate
-from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
+from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.object.region import check_metres
 
 State = Literal["tracking", "uncertain", "lost"]
@@ -30,48 +31,41 @@ State = Literal["tracking", "uncertain", "lost"]
 
 VELOCITY_SHARE = 0.8  # of its velocity, that an object outside a grip keeps until the next image
 MAX_GAP = 0.5  # between images, for a velocity to be used [s]
-TRACK_DRIFT = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
-DRIFT_IN_PALM = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
-TRACK_UNCHANGED = 2.0  # squared error of the expected pose up to which its motion has not changed
+TRACK_DRIFT = 0.15  # sigma of the other motion of an object that is hidden [m/s]
+DRIFT_IN_PALM = 0.016  # and of its motion in a grip, or of one that is seen [m/s]
+ONE_INSTANT = 1e-3  # least time in which an object moves [s]
 MIN_POINTS = 15  # near the surface that an image must have to give a pose
 MIN_PIXELS = 20  # explained pixels that an image must have to give a pose
-MIN_AGAINST = 30  # pixels against a pose that an image must have to contradict it
-MIN_FIT = 0.7
-"""Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
-that it is wrong."""
-FIT_WEIGHT = 6  # of what is above or below it in the log odds that the pose is right
-MAX_RMS = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
-RMS_WEIGHT = (4, 1.5)
-"""Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
-than they are declared."""
-TRACK_MOST = 2  # log odds that images before add to those of one
+MIN_PASSED = (
+    30  # pixels that the camera sees past a pose, for an image to contradict one that it hardly shows
+)
+FOLLOWED, LOST = 2.2, -1.8
+"""Log odds, before an image, that an object is where it is expected: it was there in the last image, or was not."""
+LEAST_SHOWN = 0.05  # share of its pixels, below which it is not asked how few show it
 TRACK_UNCERTAIN = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
 TRACK_LOST = 0.12  # and beyond which a hidden object is lost [diameters]
 MIN_TWIN = 0.05
 """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
+TWIN_DISTANCE = 0.4
+"""From where another source has it, at which what is followed may be another object like it [diameters]."""
 SEARCH_PERIOD = 0.2  # between searches of the entire image [s]
-MIN_FOUND = 0.6  # share of the expected pixels that a found object must explain
-TRACK_LIKELY = 0.5  # probability above which only those count of them that nothing hides
-FOUND_AGAIN = 0.85
-"""Least probability of the first pose of an object that was lost: it may be gone."""
 HIDDEN = "hardly anything of it is seen"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """The estimate of a tracked object's pose after one depth image."""
+    """What one depth image says of the pose of an object that is followed."""
 
     stamp: float  # of the image [s]
     T_camera_object: Array | None  # (4, 4); None: lost
     covariance: Array | None
-    """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes; None: lost."""
+    """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes, by this image alone; None: lost."""
     state: State  # `tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits
     reason: str  # why it is not `tracking`; empty if it is
     candidate: NDArray[np.void]  # CANDIDATE (1,): the pose that was tried, and how well the image supports it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Image:
+class _Image(NamedTuple):
     """The checked arguments of `DepthTracker.update`."""
 
     stamp: float
@@ -81,26 +75,24 @@ class _Image:
     T_camera_palm: Array | None
     gripped: bool
 
+    @property
+    def rides(self) -> bool:
+        """Whether the object moves with the palm, whose pose is known."""
+        return self.gripped and self.T_camera_palm is not None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Belief:
-    """The state of the tracker at an image's stamp."""
+class _Track:
+    """Where an object was in the last image, or is expected in the next one."""
 
-    stamp: float
-    pose_camera_object: GaussianPose
-    T_camera_palm: Array | None
-    independent: Array
-    """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
+    stamp: float  # of that image [s]
+    T_camera_object: Array
     T_at_rest: Array
-    """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
-    observed: float  # stamp of the last image that showed enough of it [s]
-    lost: bool
-    velocity: Array = field(default_factory=lambda: np.zeros(6))  # (6,) of the object's centre [m/s, rad/s]
-    shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    """(6, 6) derivative of the pose by errors of unit variance that all images share."""
-    changed: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    """(6, 6) part of both covariances that is due to a change of motion since the last image."""
-    odds: float = 0.0  # log odds that the pose is right, by all images
+    """(4, 4) T_camera_object if it has not moved since the image before, or only with the palm that grips it."""
+    T_camera_palm: Array | None
+    prior: float  # log odds that it is where it is expected, before an image
+    seen: float = -np.inf  # stamp of the last image that showed enough of it [s]
+    velocity: Array | None = None  # (6,) of its centre [m/s, rad/s]; None: not known
 
 
 class DepthTracker:
@@ -122,17 +114,9 @@ class DepthTracker:
         self._refiner = PoseRefiner(model, camera, noise)
         self._T_object_center = se3.compose(np.eye(3), model.center_object)
         self._start = None if start is None else se3.rounded(start, "start")
-        self._belief: _Belief | None = None
+        self._track: _Track | None = None
         self._searched = -np.inf
         self._absent = "not found"
-
-    def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
-        """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
-        other = copy(self)
-        other._start = se3.rounded(T_camera_object, "start")
-        other._belief = None
-        other._searched = stamp
-        return other
 
     def update(
         self,
@@ -149,9 +133,9 @@ class DepthTracker:
 
         hand (h, w): whether a pixel is the hand's. table (4,): `n·P + offset = 0` in the camera, n towards it. gripped:
         the object moves with the palm, where T_camera_palm is known. expected: T_camera_object from another source,
-        near which the object is searched. An image a little older than the last one is answered, but does not change
-        the state. Raises InvalidInput for images of another size than the camera's and for depth that is not in metres,
-        InvalidTransform for matrices that are no poses.
+        near which the object is looked for if it is lost, or followed elsewhere. An image a little older than the last
+        one is answered, but does not change the state. Raises InvalidInput for images of another size than the camera's
+        and for depth that is not in metres, InvalidTransform for matrices that are no poses.
         """
         depth = self.camera.check_depth(depth)
         check_metres(depth)
@@ -164,120 +148,106 @@ class DepthTracker:
         if expected is not None:
             expected = se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
-        belief, searched = self._belief, self._searched
+        track, searched = self._track, self._searched
         sighting = self._observed(_Image(now, depth, hand, table, T_camera_palm, gripped), expected)
-        if belief is not None and 0 < belief.stamp - now <= MAX_GAP:
-            self._belief, self._searched = belief, searched
+        if track is not None and 0 < track.stamp - now <= MAX_GAP:
+            self._track, self._searched = track, searched
         return sighting
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
-        """Returns where the object is near its expected pose, else anywhere in the image, and makes that the belief."""
-        predicted = self._predicted(image, hint)
-        refined = None
-        reason = ""
-        if predicted is not None:
-            refined = self._refined(image, predicted)
-            predicted = self._weighed(predicted, refined)
-            reason = self._misfit(predicted, refined)
-        if predicted is None or refined is None or reason:
-            found = self._found(image)
-            if found is None:
-                self._belief = predicted and replace(predicted, lost=True)
-                candidate = np.zeros(1, dtype=CANDIDATE) if refined is None else refined.candidate
-                return Sighting(image.stamp, None, None, "lost", reason or self._absent, candidate)
-            predicted, refined = found
-        enough = _is_enough(refined)
-        self._belief = belief = self._fused(predicted, refined) if enough else predicted
-        pose = belief.pose_camera_object
-        unsure = surface_shift(self.model, pose)
-        refined.candidate["pose"] = candidates_at(pose.T_a_b[None])["pose"]
-        reason = "" if enough else HIDDEN
-        if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
-            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
-        state: State = "uncertain" if reason else "tracking"
-        return Sighting(image.stamp, pose.T_a_b, pose.covariance, state, reason, refined.candidate)
+        """Returns where the object is in an image, and remembers that."""
+        predicted = None if self._track is None else self._predicted(image, self._track)
+        self._absent = "not found"
+        reasons = list[str]()
+        candidate = np.zeros(1, dtype=CANDIDATE)
+        for track in self._places(image, predicted, hint):
+            for refined, prior in self._looks(image, track):
+                reason = self._misfit(image, track, refined, prior)
+                if not reason:
+                    return self._followed(image, track, refined)
+                if not reasons:
+                    candidate = refined.candidate
+                reasons.append(reason)
+        self._track = predicted and replace(predicted, prior=LOST, seen=-np.inf)
+        reason = reasons[0] if reasons else self._absent
+        return Sighting(image.stamp, None, None, "lost", reason, candidate)
 
-    def _predicted(self, image: _Image, hint: Array | None) -> _Belief | None:
-        """Returns the belief at the stamp of an image, before it is used; None where nothing is known."""
-        last = self._belief
-        if last is None:
-            hint = self._start if hint is None else hint
-            return None if hint is None else self._unknown(image, hint, lost=False)
+    def _places(self, image: _Image, predicted: _Track | None, hint: Array | None) -> Iterator[_Track]:
+        """Yields where the object may be in an image, the likeliest first, at last where it is found in all of it."""
+        if predicted is None and hint is None:
+            hint = self._start
+        lost = predicted is None or predicted.prior == LOST
+        if hint is not None and (predicted is None or lost or self._is_far(predicted, hint)):
+            yield _anew(image, hint, FOLLOWED)
+        if predicted is not None and not (lost and hint is not None):
+            yield predicted
+        found = self._found(image)
+        if found is not None:
+            yield found
+
+    def _is_far(self, track: _Track, T_camera_object: Array) -> bool:
+        """Returns whether an object is expected so far from a pose (4, 4) that it may be another one there."""
+        off = (track.T_camera_object - T_camera_object)[:3] @ np.append(self.model.center_object, 1.0)
+        return bool(np.linalg.norm(off) > TWIN_DISTANCE * self.model.diameter)
+
+    def _predicted(self, image: _Image, last: _Track) -> _Track:
+        """Returns where the object is expected in an image."""
         dt = max(image.stamp - last.stamp, 0.0)
-        pose = last.pose_camera_object
-        drift = TRACK_DRIFT
-        odds = last.odds
-        covariance, independent, shared = pose.covariance, last.independent, last.shared
-        velocity = VELOCITY_SHARE * last.velocity * (dt <= MAX_GAP)
+        velocity = None if last.velocity is None or dt > MAX_GAP else VELOCITY_SHARE * last.velocity
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
             T_new_old = image.T_camera_palm @ se3.inverse(last.T_camera_palm)
-            T = at_rest = T_new_old @ pose.T_a_b
-            drift = DRIFT_IN_PALM
-            turn = np.kron(np.eye(2), T_new_old[:3, :3])
-            covariance = turn @ covariance @ turn.T
-            independent = turn @ independent @ turn.T
-            shared = turn @ shared
+            T = at_rest = T_new_old @ last.T_camera_object
         else:
-            T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
-            T = T_camera_center @ se3.inverse(self._T_object_center)
-            at_rest = pose.T_a_b
-        # An object that is not observed may go on with one velocity: after a time t it is off by t sigma.
-        grown = dt * (dt + 2 * max(last.stamp - last.observed, 0.0))
-        much = self._covariance_of_origin(T, np.repeat(grown * np.square(drift), 3))
-        little = self._covariance_of_origin(T, np.repeat(grown * np.square(DRIFT_IN_PALM), 3))
-        changed = np.zeros((6, 6)) if last.lost else much - little
-        if hint is not None:
-            T = at_rest = hint
-            changed = np.zeros((6, 6))
-            odds = 0.0
+            T = at_rest = last.T_camera_object
+            if velocity is not None:
+                T_camera_center = se3.moved(at_rest @ self._T_object_center, velocity * dt)
+                T = T_camera_center @ se3.inverse(self._T_object_center)
         return replace(
             last,
             stamp=image.stamp,
-            pose_camera_object=GaussianPose(T, covariance + much),
-            T_camera_palm=image.T_camera_palm,
-            independent=independent + much,
+            T_camera_object=T,
             T_at_rest=at_rest,
+            T_camera_palm=image.T_camera_palm,
             velocity=velocity,
-            shared=shared,
-            changed=changed,
-            odds=odds,
         )
 
-    def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
-        """Returns what an image says near where the object is expected."""
-        T = predicted.pose_camera_object.T_a_b
-        pose = GaussianPose(T, predicted.independent - predicted.changed)
-        known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        return self._refiner.at(T, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest)
+    def _looks(self, image: _Image, track: _Track) -> Iterator[tuple[RefinedPose, float]]:
+        """Yields what an image says of an object that moves as expected, and if it moves otherwise, each with the log
+        odds before the image."""
+        moves = track.velocity is not None or image.rides
+        drift = DRIFT_IN_PALM if moves else TRACK_DRIFT
+        yield self._refined(image, track, drift, track.T_at_rest), track.prior
+        seen = track.seen > -np.inf
+        yield self._refined(image, track, TRACK_DRIFT, None), min(track.prior, 0.0) if seen else track.prior
 
-    def _weighed(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
-        """Returns the belief with the log odds that an image adds to it."""
-        candidate = refined.candidate
-        noise = self._refiner.noise
-        if not (_is_enough(refined) or against(candidate) > MIN_AGAINST):
-            return predicted
-        z = center_depths(self.model, candidate)
-        within_pixel = z / (np.sqrt(12) * self.camera.matrix[0, 0])  # of a surface that is slanted by 45°
-        sigma = np.hypot(np.hypot(noise.sigma(z), noise.bias(z)), within_pixel)
-        worse = float((candidate["rms"] / sigma)[0]) - MAX_RMS
-        slope, most = RMS_WEIGHT
-        added = FIT_WEIGHT * (support_share(candidate) - MIN_FIT)
-        added -= min(slope * max(worse, 0.0), most)
-        return replace(predicted, odds=min(max(predicted.odds, -TRACK_MOST), TRACK_MOST) + added)
+    def _refined(self, image: _Image, track: _Track, drift: float, T_at_rest: Array | None) -> RefinedPose:
+        """Returns the pose that an image gives from the expected one on, from which it drifts so fast [m/s]."""
+        since = max(image.stamp - track.seen, ONE_INSTANT)
+        unknown = np.array(UNKNOWN) * self.model.diameter
+        sigma_shift, sigma_turn = np.minimum(drift * since, unknown) / (1.0, self.model.radius)
+        known = np.diag(np.repeat([sigma_shift**-2, sigma_turn**-2], 3))
+        T = track.T_camera_object
+        return self._refiner.at(T, known, image.depth, image.hand, image.table, T_at_rest=T_at_rest)
 
-    def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
-        """Returns why the object is lost; empty if it is not."""
-        if predicted.odds < 0:
-            share = support_share(refined.candidate)
-            rms = refined.candidate["rms"][0]
-            far = f", {1000 * rms:.1f} mm off" if share > MIN_FIT else ""
-            return f"it explains {100 * share:.0f} % of what is seen there{far}"
-        limit = TRACK_LOST * self.model.diameter
-        pose = predicted.pose_camera_object
-        hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
-        return HIDDEN if hidden else ""
+    def _misfit(self, image: _Image, track: _Track, refined: RefinedPose, prior: float) -> str:
+        """Returns why the object is not where it was expected; empty if it may be."""
+        enough = _is_enough(refined)
+        candidate = refined.candidate[0]
+        if (
+            track.seen > -np.inf
+        ):  # the fewer pixels show an object that was there, the less they contradict it
+            prior = prior * max(refined.shown, LEAST_SHOWN) ** -0.5
+        elif prior > 0:  # what would be hidden, and not by the hand, may be a part of what hides it
+            prior = prior * (1 - candidate["hidden"] / max(candidate["expected"], 1.0))
+        odds = refined.odds + prior
+        if odds < 0 and (enough or candidate["passed"] > MIN_PASSED):
+            probability = 1 / (1 + np.exp(-odds))
+            return f"it is where it was expected with a probability of {probability:.2f} only"
+        drift = DRIFT_IN_PALM if image.rides else TRACK_DRIFT
+        gone = drift * (image.stamp - track.seen) > TRACK_LOST * self.model.diameter
+        return HIDDEN if gone and not enough else ""
 
-    def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
+    def _found(self, image: _Image) -> _Track | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""
         if abs(image.stamp - self._searched) < SEARCH_PERIOD:
             return None
@@ -286,85 +256,48 @@ class DepthTracker:
         found = self.source(
             self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
         )
-        self._absent = f"not found: {found.reason}" if found.reason else "not found"
-        expected = found.candidates["expected"]
-        if found.probability > TRACK_LIKELY:
-            expected = expected - found.candidates["hidden"]
-        fits = found.candidates["explained"] >= MIN_FOUND * expected
-        likely = found.weights >= MIN_TWIN * found.weights.max(initial=0.0)
-        Ts = found.Ts_camera_object[fits & likely]
-        if not len(Ts) or (self._belief is not None and found.probability < FOUND_AGAIN):
+        if found.reason:
+            self._absent = f"not found: {found.reason}"
+        Ts = found.Ts_camera_object
+        if not len(Ts):
             return None
-        if self._belief is not None:  # of poses that fit alike, the one turned least from where it was
-            last = self._belief.pose_camera_object.T_a_b[:3, :3]
-            turns = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ last.T), axis=1)
-            Ts = Ts[[turns.argmin()]]
-        belief = self._unknown(image, Ts[0], lost=True)
-        refined = self._refined(image, belief)
-        belief = self._weighed(belief, refined)
-        return None if self._misfit(belief, refined) else (belief, refined)
+        if self._track is None:
+            return _anew(image, Ts[0], FOLLOWED)
+        # Of poses that fit alike, the one turned least from where it was.
+        Ts = Ts[found.weights >= MIN_TWIN * found.weights.max()]
+        last = self._track.T_camera_object[:3, :3]
+        turns = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ last.T), axis=1)
+        return _anew(image, Ts[turns.argmin()], LOST)
 
-    def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
-        """Returns the belief after an image that shows enough of the object."""
-        last, velocity = self._belief, predicted.velocity
-        pose, measured = predicted.pose_camera_object, refined.pose_camera_object
-        off = se3.difference(measured.T_a_b, pose.T_a_b)
-        P = predicted.independent
-        R = measured.covariance
-        own = pose.covariance - predicted.shared @ predicted.shared.T
-        if off @ np.linalg.solve(P - predicted.changed + R, off) < TRACK_UNCHANGED:
-            P, own = P - predicted.changed, own - predicted.changed
-        gain = self._gain(pose.T_a_b, P, R)
-        keep = np.eye(6) - gain
-        shared = keep @ predicted.shared + gain @ np.linalg.cholesky(R)
-        covariance = keep @ own @ keep.T + shared @ shared.T
-        independent = keep @ P @ keep.T + gain @ R @ gain.T
-        pose = GaussianPose(se3.moved(pose.T_a_b, gain @ off), (covariance + covariance.T) / 2)
-        if last is None or predicted.lost:
-            velocity = np.zeros(6)
-        elif 0 < predicted.stamp - last.stamp <= MAX_GAP:
-            before = last.pose_camera_object.T_a_b @ self._T_object_center
-            now = pose.T_a_b @ self._T_object_center
-            velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
-        return replace(
-            predicted,
-            pose_camera_object=pose,
-            independent=independent,
-            shared=shared,
-            velocity=velocity,
-            lost=False,
-            observed=predicted.stamp,
-        )
+    def _followed(self, image: _Image, track: _Track, refined: RefinedPose) -> Sighting:
+        """Returns what an image says of a pose that it does not contradict, from which the object is followed on."""
+        enough = _is_enough(refined)
+        measured = refined.pose_camera_object
+        T = measured.T_a_b
+        covariance = measured.covariance
+        last = self._track
+        if enough:
+            velocity = None
+            if last is not None and track.seen > -np.inf and 0 < image.stamp - last.stamp <= MAX_GAP:
+                moved = se3.difference(
+                    T @ self._T_object_center, last.T_camera_object @ self._T_object_center
+                )
+                velocity = moved / (image.stamp - last.stamp)
+            track = replace(track, T_camera_object=T, prior=FOLLOWED, seen=image.stamp, velocity=velocity)
+        self._track = track
+        T = track.T_camera_object
+        refined.candidate["pose"] = candidates_at(T[None])["pose"]
+        unsure = surface_shift(self.model, measured)
+        reason = "" if enough else HIDDEN
+        if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
+            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
+        state: State = "uncertain" if reason else "tracking"
+        return Sighting(image.stamp, T, covariance, state, reason, refined.candidate)
 
-    def _gain(self, T_camera_object: Array, P: Array, R: Array) -> Array:
-        """Returns the gain (6, 6) of a measurement of the object's origin with covariance R, before which it is P.
 
-        Each eigenvector of R (of shifts, and of radius times turns, of the centre) is weighed by itself. A direction
-        that no point observes is a little different in each image, and Kalman's gain takes two of them for an
-        observation: the object would turn with the noise.
-        """
-        D, radius = self.model.diameter, self.model.radius
-        S = se3.point_jacobian(T_camera_object[:3, :3] @ self.model.center_object)
-        S = S * np.repeat([1.0, radius], 3)[:, None]
-        variances, V = np.linalg.eigh(S @ R @ S.T)
-        # R has what is known without any point, which the image does not say once more.
-        unknown = np.repeat(np.square(UNKNOWN) * D**2, 3) ** -1.0 @ V**2
-        variances = 1 / np.maximum(1 / variances - unknown, 1e-3 * unknown)
-        before = np.einsum("ji,jk,ki->i", V, S @ P @ S.T, V)
-        return np.asarray(np.linalg.solve(S, V * (before / (before + variances))) @ V.T @ S)
-
-    def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
-        """Returns the belief that the object is about there, and as good as unknown."""
-        D = self.model.diameter
-        variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
-        C = self._covariance_of_origin(T_camera_object, variance)
-        pose = GaussianPose(T_camera_object, C)
-        return _Belief(image.stamp, pose, image.T_camera_palm, C, T_camera_object, image.stamp, lost)
-
-    def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
-        """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""
-        J = se3.point_jacobian(-T_camera_object[:3, :3] @ self.model.center_object)
-        return (J * variance) @ J.T
+def _anew(image: _Image, T_camera_object: Array, prior: float) -> _Track:
+    """Returns that the object is about there, without having been seen."""
+    return _Track(image.stamp, T_camera_object, T_camera_object, image.T_camera_palm, prior)
 
 
 def _is_enough(refined: RefinedPose) -> bool:

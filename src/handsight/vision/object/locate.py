@@ -21,7 +21,7 @@ from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose, log_odds, logit
 from handsight.vision.object.pose_refiner import PoseRefiner
-from handsight.vision.object.region import MAX_RANGE, Scene, scene_of
+from handsight.vision.object.region import Scene, scene_of
 
 Box = Sequence[float] | Array  # u0, v0, u1, v1: the first column and row, and the last, all included [pixels]
 Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
@@ -75,7 +75,7 @@ def locate(
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene, wanted, hand, noise))
+        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene))
     refined = None if given is None else _refined(model, scene, given, noise)
     found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
     if found.probability >= MIN_PROBABILITY:
@@ -83,19 +83,18 @@ def locate(
     name = model.name or "the object"
     doubt = f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
     reason = doubt if len(found.candidates) else "no surface there is large enough to tell its shape"
-    reason += _too_near(model, scene, wanted, hand, noise)
+    reason += _too_near(model, scene)
     return ObjectDetection.nowhere(reason, found.probability)
 
 
-def _too_near(
-    model: ObjectModel, scene: Scene, wanted: Mask | None, hand: Mask | None, noise: DepthNoise
-) -> str:
-    """Returns what a reason ends with where the object would be wider than the image and is found ten times as far."""
-    z = float(np.median(scene.depth[scene.depth > 0])) if scene.depth.any() else np.inf
-    if model.diameter * scene.camera.matrix[0, 0] < min(scene.camera.size) * z or 10 * z > MAX_RANGE:
+def _too_near(model: ObjectModel, scene: Scene) -> str:
+    """Returns what a reason ends with where the object would be wider than the image: nothing is searched for it."""
+    known = scene.depth[scene.depth > 0]
+    z = float(np.median(known)) if len(known) else np.inf
+    width = model.diameter * scene.camera.matrix[0, 0] / z
+    if width < min(scene.camera.size):
         return ""
-    found = locate(model, 10 * scene.depth, scene.camera, mask=wanted, hand=hand, noise=noise)
-    return "" if found.reason else "; ten times as far it is found: depth in another unit (--depth-scale)?"
+    return f"; at {z:.3g} m it would be wider than the image: depth in another unit (--depth-scale)?"
 
 
 class FirstPoseSource(Protocol):
