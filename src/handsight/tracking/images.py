@@ -164,6 +164,11 @@ class ImageVision:
         """How many images were evaluated, and with what result; empty before the first image."""
         return {} if self._images is None else dict(self._images.counts)
 
+    @property
+    def ambiguity(self) -> str:
+        """How far poses that all images explain are apart, in words; empty where there is one."""
+        return "" if self._images is None else self._images.ambiguity
+
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
     ) -> tuple[Observation, HandView | None]:
@@ -212,6 +217,8 @@ class ObjectInImages:
         self._hand = HandInImage(rig)
         self.lost = True
         """Whether the last image did not show the object."""
+        self.ambiguity = ""
+        """How far poses that all images explain are apart, in words; empty where there is one."""
         self._detected_at = self._palm_searched_at = -np.inf
         self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
         """The number of images, of those in which the object was detected, of searches for the palm, and of detections
@@ -235,6 +242,7 @@ class ObjectInImages:
         seen: dict[str, Any] = {"hand": mask, "T_camera_palm": T_camera_palm, "gripped": expected is not None}
         found = self.tracker.update(stamp, image, expected=expected, **seen)
         self.lost = found.T_camera_object is None
+        self.ambiguity = self.tracker.ambiguity
         # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return ImageResult(None, view)

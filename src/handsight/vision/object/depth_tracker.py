@@ -25,6 +25,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import FirstPoseSource, locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.object.region import check_metres
+from handsight.vision.object.rivals import NO_RIVALS, TWIN_DISTANCE, Rivals
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -46,8 +47,6 @@ TRACK_UNCERTAIN = 0.08  # shift of its surface beyond which a pose is uncertain 
 TRACK_LOST = 0.12  # and beyond which a hidden object is lost [diameters]
 MIN_TWIN = 0.05
 """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
-TWIN_DISTANCE = 0.4
-"""From where another source has it, at which what is followed may be another object like it [diameters]."""
 SEARCH_PERIOD = 0.2  # between searches of the entire image [s]
 HIDDEN = "hardly anything of it is seen"
 
@@ -115,8 +114,14 @@ class DepthTracker:
         self._T_object_center = se3.compose(np.eye(3), model.center_object)
         self._start = None if start is None else se3.rounded(start, "start")
         self._track: _Track | None = None
+        self._rivals = NO_RIVALS
         self._searched = -np.inf
         self._absent = "not found"
+
+    @property
+    def ambiguity(self) -> str:
+        """How far other poses that all images explain are from the followed one; empty where there are none."""
+        return self._rivals.reason(self.model)
 
     def update(
         self,
@@ -148,10 +153,10 @@ class DepthTracker:
         if expected is not None:
             expected = se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
-        track, searched = self._track, self._searched
+        track, rivals, searched = self._track, self._rivals, self._searched
         sighting = self._observed(_Image(now, depth, hand, table, T_camera_palm, gripped), expected)
         if track is not None and 0 < track.stamp - now <= MAX_GAP:
-            self._track, self._searched = track, searched
+            self._track, self._rivals, self._searched = track, rivals, searched
         return sighting
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
@@ -169,6 +174,7 @@ class DepthTracker:
                     candidate = refined.candidate
                 reasons.append(reason)
         self._track = predicted and replace(predicted, prior=LOST, seen=-np.inf)
+        self._rivals = NO_RIVALS
         reason = reasons[0] if reasons else self._absent
         return Sighting(image.stamp, None, None, "lost", reason, candidate)
 
@@ -178,12 +184,23 @@ class DepthTracker:
             hint = self._start
         lost = predicted is None or predicted.prior == LOST
         if hint is not None and (predicted is None or lost or self._is_far(predicted, hint)):
+            self._rivals = NO_RIVALS
             yield _anew(image, hint, FOLLOWED)
         if predicted is not None and not (lost and hint is not None):
             yield predicted
+            yield from self._of_rivals(image, predicted)
         found = self._found(image)
         if found is not None:
             yield found
+            yield from self._of_rivals(image, found)
+
+    def _of_rivals(self, image: _Image, track: _Track) -> Iterator[_Track]:
+        """Yields where the object may be if the pose that is followed is not the right one of those that looked alike,
+        the likeliest first; the rivals are then those of that pose."""
+        rivals = self._rivals
+        for number in np.argsort(-rivals.log_odds):
+            self._rivals = rivals.against(int(number))
+            yield _anew(image, track.T_camera_object @ rivals.T_object_rivals[number], FOLLOWED)
 
     def _is_far(self, track: _Track, T_camera_object: Array) -> bool:
         """Returns whether an object is expected so far from a pose (4, 4) that it may be another one there."""
@@ -262,16 +279,37 @@ class DepthTracker:
         if not len(Ts):
             return None
         if self._track is None:
+            self._rivals = Rivals.of(self.model, found, 0)
             return _anew(image, Ts[0], FOLLOWED)
         # Of poses that fit alike, the one turned least from where it was.
-        Ts = Ts[found.weights >= MIN_TWIN * found.weights.max()]
+        alike = np.flatnonzero(found.weights >= MIN_TWIN * found.weights.max())
         last = self._track.T_camera_object[:3, :3]
-        turns = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ last.T), axis=1)
-        return _anew(image, Ts[turns.argmin()], LOST)
+        turns = np.linalg.norm(se3.rotation_log(Ts[alike, :3, :3] @ last.T), axis=1)
+        return _anew(image, Ts[alike[turns.argmin()]], LOST)
+
+    def _told_apart(self, image: _Image, track: _Track, refined: RefinedPose) -> tuple[RefinedPose, Rivals]:
+        """Returns what an image says of the pose that is followed from now on, and the rivals that are left."""
+        T = refined.pose_camera_object.T_a_b
+        rivals = self._rivals
+        looks = [
+            self._refined(image, replace(track, T_camera_object=T @ each), DRIFT_IN_PALM, None)
+            for each in rivals.T_object_rivals
+        ]
+        gains = np.array([look.odds for look in looks]) - refined.odds
+        Ts = np.array([look.pose_camera_object.T_a_b for look in looks])
+        rivals = rivals.weighed(T, Ts, gains)
+        winner = rivals.winner
+        if winner is None:
+            return refined, rivals
+        T_winner = T @ rivals.T_object_rivals[winner]
+        won = self._refined(image, replace(track, T_camera_object=T_winner), DRIFT_IN_PALM, None)
+        return won, rivals.against(winner)
 
     def _followed(self, image: _Image, track: _Track, refined: RefinedPose) -> Sighting:
         """Returns what an image says of a pose that it does not contradict, from which the object is followed on."""
         enough = _is_enough(refined)
+        if enough and len(self._rivals):
+            refined, self._rivals = self._told_apart(image, track, refined)
         measured = refined.pose_camera_object
         T = measured.T_a_b
         covariance = measured.covariance
@@ -291,6 +329,7 @@ class DepthTracker:
         reason = "" if enough else HIDDEN
         if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
             reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
+        reason = reason or self.ambiguity
         state: State = "uncertain" if reason else "tracking"
         return Sighting(image.stamp, T, covariance, state, reason, refined.candidate)
 
