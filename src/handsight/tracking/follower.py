@@ -1,7 +1,7 @@
 """One object followed in one hand: from the state after one observation to the state after the next."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,10 @@ TURNED = float(np.deg2rad(5))
 """The pose is corrected when a contact has moved by so much in the palm [m], or its normal by so much [rad]."""
 
 
+Remedy = Callable[[Belief], Belief]
+"""What is done to a belief under which contacts fit no pose."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
     """What a correction has found; it changes the state of the observation by which the correction ends."""
@@ -66,7 +70,7 @@ class Found:
     """How well evidence has fitted."""
     table: TableEvidence | None
     """The table's evidence, after the supports were compared, if they were."""
-    remedy: Callable[[Belief], Belief] | None = None
+    remedy: Remedy | None = None
     """What is done to a belief that fits no contacts; None: nothing."""
     wrong: tuple[str, ...] = ()
     """Fingers whose remembered contacts contradict the rest."""
@@ -359,20 +363,25 @@ class Follower:
             table, estimate, prior = table.compared(belief.known, (estimate, prior), solver, drift, now)
         if kept := held(self.model, state, estimate):
             return Found(kept, state.monitor.innovations, belief.table)
-        state = replace(state, belief=replace(belief, table=table))
+        belief = replace(belief, table=table)
         remedy = None
-        for tried in () if estimate.consistent else _remedies(state, prior):
-            wider = tried(state.belief).prior
-            other = solver.correct(wider)
-            if other.consistent:
-                estimate, prior, remedy = other, wider, tried
-                break
-        state = replace(state, belief=state.belief if remedy is None else remedy(state.belief))
-
+        if not estimate.consistent:
+            estimate, prior, remedy = _remedied(state, belief, solver, estimate, prior)
+        if remedy is not None:
+            belief = remedy(belief)
         numbers = [i - len(tips.contacts) for i in estimate.outliers]
         wrong = tuple(remembered[i] for i in numbers if 0 <= i < len(remembered))
         if others:
             estimate = with_others(self.model, estimate, others)
+        found = self._answer(replace(state, belief=belief), estimate, prior, searched_at)
+        return Found(*found, table, remedy, wrong)
+
+    def _answer(
+        self, state: TrackState, estimate: PoseEstimate, prior: PosePrior, searched_at: float
+    ) -> tuple[Correction, Innovations]:
+        """Returns the correction that led to an estimate under a prior, and how well evidence has fitted."""
+        tips = state.touch.fingertips
+        assert tips.contacts is not None
         estimate, modes, innovations = accepted(self.model, state, estimate, prior)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         correction = Correction(
@@ -382,14 +391,14 @@ class Follower:
             records=tips.records,
             prior=prior,
             fingers=tips.fingers,
-            stamp=now,
+            stamp=state.stamp,
             variance=variance,
-            T_world_palm=belief.T_world_palm,
-            skin=touch.skin,
+            T_world_palm=state.belief.T_world_palm,
+            skin=state.touch.skin,
             modes=modes,
             searched_at=searched_at,
         )
-        return Found(correction, innovations, table, remedy, wrong)
+        return correction, innovations
 
     def _nearest(
         self, state: TrackState, prior: PosePrior, solver: Solver, *, pressed: bool
@@ -430,13 +439,22 @@ def _has_slid(belief: Belief, last: Correction) -> bool:
     return bool(np.linalg.norm(off[:3]) > MOVED or np.linalg.norm(off[3:]) > TURNED)
 
 
-def _remedies(state: TrackState, prior: PosePrior) -> Iterator[Callable[[Belief], Belief]]:
-    """Yields what may be done to a belief where contacts fit no pose near a prior."""
+def _remedied(
+    state: TrackState, belief: Belief, solver: Solver, estimate: PoseEstimate, prior: PosePrior
+) -> tuple[PoseEstimate, PosePrior, Remedy | None]:
+    """Returns an estimate that contacts fit, its prior, and what is done to the belief for it; the given ones and None
+    where nothing helps."""
     more = (INFLATION - 1) * prior.covariance.diagonal()
-    yield lambda belief: belief.widened(more)
+    remedies: list[Remedy] = [lambda known: known.widened(more)]
     # Until the object was lost, contacts may have been with something else, such as the edge of the table.
     if state.monitor.lost_at(state.stamp):
-        yield Belief.afresh
+        remedies.append(Belief.afresh)
+    for remedy in remedies:
+        wider = remedy(belief).prior
+        other = solver.correct(wider)
+        if other.consistent:
+            return other, wider, remedy
+    return estimate, prior, None
 
 
 def _concluded(state: TrackState, found: Found) -> TrackState:
