@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import handsight as hs
 from handsight import se3
 from handsight.simulation import Scenario, model_of, rig_of
 from handsight.tracking import Tracker
+from handsight.tracking.measurements import VisionUpdate
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIFTS = -0.02, 0.004
@@ -140,3 +142,16 @@ def test_published_estimators_share_most_of_their_error_from_image_to_image():
         ratio = np.sqrt(shared / (total - shared))
         assert (ratio > 0.8).all(), (method, ratio)
         assert (ratio < 3.2).all(), (method, ratio)
+
+
+def test_a_rejected_pose_is_not_where_vision_starts_anew(can):
+    """One pose of ten is a quarter of a metre off: it is rejected, and a new start is from the one before it."""
+    T = can.T_palm_object
+    vision, smoother = VisionUpdate(can.rig, can.model), None
+    for k in range(10):
+        off = np.array([0.257 * (k == 9), 0, 0, 0, 0, 0])
+        seen = hs.Observation(0.1 * k, vision=hs.PoseMeasurement(se3.moved(T, off), "palm"))
+        vision, smoother = vision.updated(seen, smoother, None)
+    assert vision.rejected == 1
+    anew = vision.afresh().now.T_palm_object
+    assert np.linalg.norm((anew - T)[:3, 3]) < 0.01
