@@ -205,3 +205,25 @@ def test_the_object_stays_in_the_world_when_the_palm_moves(seed):
     for T_before, T_after in Ts:
         expected = smoother.expected(T_before)
         np.testing.assert_allclose(transformed.expected(T_after), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_restart_tells_pose_and_bias_no_better_apart_than_measurements_without_one(seed):
+    """The palm moves along a line and never turns: whatever the bias is, no measurement tells the pose from it. After a
+    restart, the prior and later measurements must have one direction in which they can be exchanged."""
+    rng = np.random.default_rng(seed)
+    bias = se3.moved(np.eye(4), np.concatenate([0.06 * rng.normal(size=3), np.deg2rad([20.0, 5.0, 0.0])]))
+    wide = np.diag(np.repeat([0.3**2, 1.0], 3))
+    of_bias = np.diag(np.repeat([0.06**2, np.deg2rad(8) ** 2], 3))
+    noise = np.diag(np.repeat([0.003**2, np.deg2rad(1) ** 2], 3))
+    smoother = PoseBiasSmoother.from_prior(np.eye(4), wide, of_bias, np.zeros(3))
+    for k in range(12):
+        T_mount_palm = se3.compose(np.eye(3), np.array([0.0, 0.02 * max(k - 3, 0), 0.0]))
+        seen = se3.moved(bias @ T_mount_palm, rng.normal(size=6) * np.sqrt(noise.diagonal()))
+        smoother = smoother.updated(GaussianPose(seen, noise), T_mount_palm)
+        if k in (2, 7):
+            smoother = smoother.restarted(smoother.now.inflated(np.full(6, 1e-6)))
+    sigma = np.sqrt(smoother.now.covariance[:3, :3].diagonal())
+    assert (sigma > 0.9 * 0.06).all()
+    off = smoother.now.T_palm_object[:3, 3]
+    assert off @ np.linalg.solve(smoother.now.covariance[:3, :3], off) < 16.3  # 99.9 % of three numbers

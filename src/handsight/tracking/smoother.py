@@ -28,7 +28,7 @@ from handsight.checks import MAX_DISTANCE, Array
 from handsight.correction import PosePrior
 from handsight.gaussian_pose import GaussianPose, kalman_update
 from handsight.tracking import pose_bias
-from handsight.tracking.pose_bias import LATENCY, MEASUREMENT, POSES, Measurements
+from handsight.tracking.pose_bias import BIAS, INNOVATION, LATENCY, MEASUREMENT, POSES, Measurements
 
 MAX_PROPAGATION = 100.0
 """Variance at which process noise stops growing [m², rad²]: the object may be anywhere."""
@@ -169,6 +169,8 @@ class PoseBiasSmoother:
     """Since the prior [s]."""
     solved_at: float = 0.0
     """`time` at the last measurement [s]."""
+    reference: Array | None = None
+    """(4, 4) T_mount_palm of the last measurement that the prior includes; None: it includes none."""
 
     @classmethod
     def from_prior(
@@ -215,7 +217,8 @@ class PoseBiasSmoother:
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
         """Returns a smoother without measurements; `prior` must include what they have measured."""
-        return PoseBiasSmoother(prior, self.pivot, solved=prior, drift=self.drift)
+        reference = self.measurements["T_mount_palm"][-1] if len(self.measurements) else self.reference
+        return PoseBiasSmoother(prior, self.pivot, solved=prior, drift=self.drift, reference=reference)
 
     def transformed(self, T_new_old: Array) -> "PoseBiasSmoother":
         """Returns the smoother after the palm moved by T_new_old (4, 4) while the object stayed in the world.
@@ -226,7 +229,8 @@ class PoseBiasSmoother:
         measurements = self.measurements.copy()
         measurements["T_mount_palm"] = measurements["T_mount_palm"] @ se3.inverse(T_new_old)
         prior, solved = self.prior.transformed(T_new_old), self.solved.transformed(T_new_old)
-        return replace(self, prior=prior, solved=solved, measurements=measurements)
+        reference = None if self.reference is None else self.reference @ se3.inverse(T_new_old)
+        return replace(self, prior=prior, solved=solved, measurements=measurements, reference=reference)
 
     def updated(
         self, pose_mount_object: GaussianPose, T_mount_palm: Array, motion: Motion = STILL
@@ -269,6 +273,31 @@ class PoseBiasSmoother:
         """Returns (4, 4) the object's pose in the mount that vision should measure, with its bias but no drift."""
         return pose_bias.expected(self.solved.Ts, self.pivot, T_mount_palm)
 
+    def _prior_at(self, state: PoseAndBias) -> tuple[Array, Array]:
+        """Returns the step (19,) from a state to the prior, and the prior's covariance (19, 19) there.
+
+        A prior that includes measurements knows best what vision sees, z: pose and bias can be exchanged for each
+        other. How depends on the bias, which the prior knew less well. So the prior is a Gaussian of pose and z, whose
+        derivatives are taken at the state, as those of later measurements are. Two different directions of exchange
+        would seem to tell pose and bias apart.
+        """
+        prior = self.prior
+        step = np.concatenate([*se3.difference(prior.Ts, state.Ts), prior.rest])
+        step[LATENCY] -= state.rest[6]
+        if self.reference is None:
+            return step, prior.covariance.copy()
+        seen = np.zeros(1, dtype=MEASUREMENT)
+        seen["T_mount_palm"] = self.reference
+        seen["T_mount_object"] = pose_bias.expected(prior.Ts, self.pivot, self.reference)
+        (before,) = pose_bias.rows(prior.Ts, prior.rest[6], self.pivot, seen)
+        (now,) = pose_bias.rows(state.Ts, state.rest[6], self.pivot, seen)
+        to_bias = np.linalg.inv(now[:, BIAS])
+        exchange = EYE.copy()
+        exchange[BIAS, :6] = to_bias @ (before[:, :6] - now[:, :6])
+        exchange[BIAS, BIAS] = to_bias @ before[:, BIAS]
+        step[BIAS] = to_bias @ (now[:, INNOVATION] - now[:, :6] @ step[:6])
+        return step, exchange @ prior.covariance @ exchange.T
+
     def _measurement(self, pose: GaussianPose, T_mount_palm: Array, motion: Motion) -> tuple[object, ...]:
         """Returns the fields of a MEASUREMENT."""
         twist, latency, gain = motion
@@ -289,9 +318,7 @@ class PoseBiasSmoother:
         whitening = pose_bias.whitening(measurements["covariance"])
         for _ in range(STEPS):
             rows = whitening @ pose_bias.rows(state.Ts, state.rest[6], self.pivot, measurements)
-            step = np.concatenate([*se3.difference(self.prior.Ts, state.Ts), self.prior.rest])
-            step[LATENCY] -= state.rest[6]
-            covariance = self.prior.covariance.copy()
+            step, covariance = self._prior_at(state)
             follow(rows, walked, gaps, self.drift, step, covariance)
             rest = step[12:].copy()
             rest[6] += state.rest[6]
