@@ -45,7 +45,9 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path, join
         links = [link for each in robot.heard if each.topic == "/tf" for link in read(each).transforms]
         assert sum(link.child_frame_id == "object" for link in links) == len(expected)
         assert sum(each.topic == "/handsight/markers" for each in robot.heard) > 5
-        running.wait_for(lambda: "tracking" in robot.told(), "the diagnostics", bridge)
+        running.wait_for(
+            lambda: "the position is known to 7 mm only" in robot.told(), "the diagnostics", bridge
+        )
         ended = running.interrupt(bridge)
         robot.close()
         assert (bridge.returncode, "Traceback" in bridge.log.read_text()) == (0, False)

@@ -76,7 +76,7 @@ def errors(simulated, made_once):
 def measured(name, simulated):
     """Mean errors [m] and shares inside the 95 % region (of some manipulations), by how vision is wrong."""
     rows = {row: [] for row in ("usual", "first", "late", "drift")}
-    for seed in range(2 if name == "box" else 1):  # boxes slide in the hand, and differ
+    for seed in range(2 if name == "box" else 5):  # one run differs from another by half a millimetre
         scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=50)
         shift = SHIFTS[seed] if name == "box" else 0.0
         samples = [slid(sample, shift) for sample in simulated(scenario)]
@@ -105,9 +105,8 @@ def test_latency_and_drift_of_vision_are_covered(errors):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["can", "box"])
 def test_more_vision_makes_no_answer_worse(name, errors):
-    """Half a millimetre is what one run differs from another by."""
     error, _ = errors(name)
-    assert error["usual"] <= 1.1 * error["first"] + 5e-4
+    assert error["usual"] <= 1.1 * error["first"]
 
 
 def poses(path):
