@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handsight.tracking import Tracker
+from handsight.tracking import Tracker, follower
 from handsight.tracking.search import solves_in
 
 FASTER = 0.1
@@ -67,8 +67,6 @@ def test_what_goes_on_is_lost_with_the_object_and_survives_a_copy(box):
 
 def test_an_error_in_a_correction_is_said_with_its_evidence_and_the_tracker_goes_on(can):
     """Once: the next correction, of later observations, ends without it, and the answer is the old one until then."""
-    from handsight.tracking import follower
-
     tracker = Tracker(can.rig, can.model)
     accepted, failed, before, reasons = follower.accepted, [], None, list[str]()
 

@@ -24,6 +24,10 @@ def tracked(grasp, **settings):
     return tracker
 
 
+SHORT = 0.015
+"""A grasp of two seconds knows a can that stands within 7 mm: its table may be misplaced."""
+
+
 def later(observation, by, **changes):
     return replace(observation, stamp=observation.stamp + by, vision=None, **changes)
 
@@ -34,10 +38,10 @@ def base_error(grasp, T):
 
 
 def test_a_can_is_nearer_to_the_truth_by_touch_than_by_vision(can):
-    tracker = tracked(can)
+    tracker = tracked(can, uncertain_position=SHORT)
     with_vision = [o for o in can.observations if o.vision is not None]
     seen = [base_error(can, tracker.vision.in_palm(o, o.T_world_palm)) for o in with_vision]
-    assert tracker.state == "tracking" or "known to" in tracker.reason
+    assert tracker.state == "tracking", tracker.reason
     assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
 
 
@@ -91,7 +95,7 @@ def test_a_start_given_by_the_user_needs_no_vision(can):
     tracker = Tracker(can.rig, can.model, start=start)
     for seen in can.held:
         tracker.update(replace(seen, vision=None))
-    assert tracker.state == "tracking" or "known to" in tracker.reason
+    assert tracker.state == "tracking", tracker.reason
     assert base_error(can, tracker.estimate.T_palm_object) < 0.004
 
 
@@ -266,17 +270,16 @@ def test_a_pose_in_the_frame_of_a_missing_camera_is_refused(can):
 
 
 def test_a_clock_that_was_set_back_starts_a_new_track_with_a_reason(can):
-    tracker = tracked(can)
+    tracker = tracked(can, uncertain_position=SHORT)
     estimate = tracker.estimate
     again = [replace(seen, stamp=seen.stamp - 100) for seen in can.observations]
     assert tracker.update(again[0]) is estimate  # it may be wrong
     tracker.update(again[1])
     assert tracker.stamp == again[1].stamp
     assert tracker.reason.startswith("the clock went back by 101.9 s: a new track")
-    before = tracked(can)
     for seen in again[2:]:
         tracker.update(seen)
-    assert (tracker.state, tracker.reason) == (before.state, before.reason)
+    assert tracker.state == "tracking", tracker.reason
     assert tracker.late == 0
 
 
@@ -291,7 +294,7 @@ def test_one_stamp_far_off_is_left_out(can):
 
 
 def test_a_pause_of_the_sensors_is_no_jump_of_the_clock(can):
-    tracker = tracked(can)
+    tracker = tracked(can, uncertain_position=SHORT)
     last = can.observations[-1]
     for k in range(1, 6):
         paused = later(last, 5.0 * k)
@@ -301,8 +304,7 @@ def test_a_pause_of_the_sensors_is_no_jump_of_the_clock(can):
         confirming = later(paused, 0.01)
         assert tracker.update(confirming) is tracker.estimate
         assert tracker.stamp == confirming.stamp
-    assert tracker.late == 0
-    assert tracker.state != "lost"
+    assert (tracker.late, tracker.state) == (0, "tracking")
 
 
 def test_observations_that_are_always_seconds_apart_are_all_used(can):
@@ -314,8 +316,7 @@ def test_observations_that_are_always_seconds_apart_are_all_used(can):
 
 @pytest.mark.parametrize("bad", [{"T_world_palm": np.full((4, 4), np.nan)}, {"stamp": 1.5}])
 def test_a_tracker_is_lost_while_all_observations_are_invalid_or_late(can, bad):
-    tracker = tracked(can)
-    state = tracker.state
+    tracker = tracked(can, uncertain_position=SHORT)
     last = can.observations[-1]
     wrong = replace(later(last, 0.01), **bad)
     for _ in range(150):
@@ -324,7 +325,7 @@ def test_a_tracker_is_lost_while_all_observations_are_invalid_or_late(can, bad):
     assert tracker.state == "lost"
     assert tracker.reason.startswith("left out 150 observations in a row, the last: ")
     tracker.update(later(last, 0.02))
-    assert tracker.state == state, tracker.reason
+    assert tracker.state == "tracking", tracker.reason
 
 
 def test_a_replay_is_right_over_clocks_that_jump(can):

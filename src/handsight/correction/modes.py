@@ -35,6 +35,16 @@ def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Arra
     return np.linalg.norm(shift, axis=-1), np.linalg.norm(turn, axis=-1)
 
 
+def apart(model: ObjectModel, Ts: Array, T: Array, evidence: str) -> str:
+    """Returns how far poses `Ts` (n, 4, 4) that some evidence explains as well are from the likeliest one `T` (4, 4),
+    for a person; empty where there are none."""
+    if not len(Ts):
+        return ""
+    shift, turn = pose_distances(model, Ts, T)
+    count = {1: "two", 2: "three", 3: "four"}.get(len(Ts), "several")
+    return f"{count} poses explain the {evidence}: {1e3 * shift.max():.0f} mm, {np.rad2deg(turn.max()):.0f}° apart"
+
+
 def distinct(
     model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = SAME_MODE
 ) -> list[int]:

@@ -16,7 +16,7 @@ from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
-from handsight.correction.modes import MAX_MODES, SAME_MODE, chi2_limit, in_metres, pose_distances
+from handsight.correction.modes import MAX_MODES, SAME_MODE, apart, chi2_limit, in_metres, pose_distances
 from handsight.correction.weight import CONTRADICTS
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
@@ -102,13 +102,9 @@ def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.
 
 def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:
     """Returns how far the relevant hypotheses are apart, for a person; empty where there is one."""
-    relevant = [row for row in estimate.modes[1:] if row["weight"] > RELEVANT_WEIGHT]
-    if not relevant:
-        return ""
-    Ts = np.stack([row["T_palm_object"] for row in relevant])
-    shift, turn = pose_distances(model, Ts, estimate.modes[0]["T_palm_object"])
-    count = {1: "two", 2: "three", 3: "four"}.get(len(relevant), "several")
-    return f"{count} poses explain the touch: {1e3 * shift.max():.0f} mm, {np.rad2deg(turn.max()):.0f}° apart"
+    relevant = [row["T_palm_object"] for row in estimate.modes[1:] if row["weight"] > RELEVANT_WEIGHT]
+    Ts = np.array(relevant).reshape(-1, 4, 4)
+    return apart(model, Ts, estimate.modes[0]["T_palm_object"], "touch")
 
 
 def normalised(log_weights: Array) -> Array:

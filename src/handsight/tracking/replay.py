@@ -14,7 +14,6 @@ from handsight.errors import InvalidInput
 from handsight.forces import ObjectWeight, Slip
 from handsight.observation import MAX_JUMP, Observation
 from handsight.tracking.fingertips import FingertipContacts
-from handsight.tracking.grasp import RELEASE_AFTER
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.tracker import State, Tracker
 
@@ -74,9 +73,9 @@ class Tally:
     without: dict[str, Counter[str]] = field(default_factory=dict)
     """By finger, then by reason: observations without a contact of that finger, up to its first contact."""
     grasps: int = 0
-    """How often a touch began after `RELEASE_AFTER` without any."""
-    touched_at: float = -math.inf
-    """When anything was touched last [s]."""
+    """How often the object was grasped."""
+    grasped_at: float = -math.inf
+    """When it was grasped last [s]."""
     counted_to: float = math.nan
     """The stamp up to which time is counted [s]."""
 
@@ -112,9 +111,10 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             state = "search" if estimate is None and not tally.answered else tracker.state
             tally.states[state] = tally.states.get(state, 0.0) + passed
         tally.touched.update(tracker.fingertips.fingers)
-        if tracker.fingertips.fingers:
-            tally.grasps += tracker.stamp - tally.touched_at > RELEASE_AFTER
-            tally.touched_at = tracker.stamp
+        grasp = tracker.track_state.belief.grasp
+        if grasp.grasped and grasp.since != tally.grasped_at:
+            tally.grasps += 1
+            tally.grasped_at = grasp.since
         for finger, reason in tracker.fingertips.reasons.items():
             if finger not in tally.touched:
                 tally.without.setdefault(finger, Counter())[reason] += 1

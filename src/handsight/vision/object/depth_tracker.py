@@ -250,9 +250,8 @@ class DepthTracker:
         """Returns why the object is not where it was expected; empty if it may be."""
         enough = _is_enough(refined)
         candidate = refined.candidate[0]
-        if (
-            track.seen > -np.inf
-        ):  # the fewer pixels show an object that was there, the less they contradict it
+        if track.seen > -np.inf:
+            # The fewer pixels show an object that was there, the less they contradict it.
             prior = prior * max(refined.shown, LEAST_SHOWN) ** -0.5
         elif prior > 0:  # what would be hidden, and not by the hand, may be a part of what hides it
             prior = prior * (1 - candidate["hidden"] / max(candidate["expected"], 1.0))

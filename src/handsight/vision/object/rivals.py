@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.correction.modes import pose_distances
+from handsight.correction.modes import apart, pose_distances
 from handsight.objects import ObjectModel
 from handsight.vision.object.first_pose import ObjectDetection
 
@@ -19,7 +19,6 @@ TWIN_DISTANCE = 0.4
 """From a pose, at which another one may be that of another object like it [diameters]."""
 ONE_VIEW = float(np.deg2rad(15))
 """Images between which the object turns by less before the camera are from one side [rad]."""
-COUNTS = {1: "two", 2: "three", 3: "four"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,11 +90,7 @@ class Rivals:
 
     def reason(self, model: ObjectModel) -> str:
         """Returns how far the rivals are from the followed pose, for a person; empty where there are none."""
-        if not len(self):
-            return ""
-        shift, turn = pose_distances(model, self.T_object_rivals, np.eye(4))
-        count = COUNTS.get(len(self), "several")
-        return f"{count} poses explain the images: {1e3 * shift.max():.0f} mm, {np.rad2deg(turn.max()):.0f}° apart"
+        return apart(model, self.T_object_rivals, np.eye(4), "images")
 
     def _only_likely(self) -> "Rivals":
         """Returns those that have not lost."""
