@@ -98,7 +98,7 @@ def test_distant_explanations_stay_hypotheses_and_the_answer_says_how_far_they_a
         np.testing.assert_allclose(both.T_palm_object, T, atol=1e-12)
         np.testing.assert_allclose(both.covariance, covariance, rtol=1e-6)
         assert [hypothesis.weight for hypothesis in both.hypotheses] == pytest.approx([1 - share, share])
-        assert ambiguity(BOX, both) == said
+        assert ambiguity(BOX, both, "touch") == said
 
 
 def tracked(grasp, rig):

@@ -33,8 +33,8 @@ class ConcurrentImages:
         self._running: Future[ImageResult | None] | None = None
         self.lost = True
         """Whether the last image that was answered did not show the object."""
-        self.ambiguity = ""
-        """That of `ObjectInImages`, at the last image that was answered."""
+        self.rivals = self._images.rivals
+        """Those of `ObjectInImages`, at the last image that was answered."""
         self.counts = dict(self._images.counts)
         """Those of `ObjectInImages`, of the images that were answered, and how many `failed`, if any did."""
 
@@ -69,7 +69,7 @@ class ConcurrentImages:
 
     def _result(self, evaluated: Future[ImageResult | None]) -> ImageResult | None:
         """Returns what an image has measured; None for one that failed."""
-        self.lost, self.ambiguity = self._images.lost, self._images.ambiguity
+        self.lost, self.rivals = self._images.lost, self._images.rivals
         error = evaluated.exception()
         if error is None:
             self.counts = self.counts | self._images.counts

@@ -24,7 +24,7 @@ from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, slid
 from handsight.tracking.hand_outside import HandOutside
-from handsight.tracking.hypotheses import RELEVANT_WEIGHT, with_others
+from handsight.tracking.hypotheses import RELEVANT_WEIGHT, among_rivals, with_others, with_rivals
 from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.judge import CONFIRM_AFTER, accepted, held, judged
@@ -361,6 +361,8 @@ class Follower:
         if table is not None and table.due(now, estimate, news=state.weight.news):
             drift = self._drift(table, now)
             table, estimate, prior = table.compared(belief.known, (estimate, prior), solver, drift, now)
+        rivals = state.images.rivals
+        estimate, prior, turned = among_rivals(self.model, solver, rivals, estimate, prior)
         if kept := held(self.model, state, estimate):
             return Found(kept, state.monitor.innovations, belief.table)
         belief = replace(belief, table=table)
@@ -373,8 +375,9 @@ class Follower:
         wrong = tuple(remembered[i] for i in numbers if 0 <= i < len(remembered))
         if others:
             estimate = with_others(self.model, estimate, others)
-        found = self._answer(replace(state, belief=belief), estimate, prior, searched_at)
-        return Found(*found, table, remedy, wrong)
+        found, innovations = self._answer(replace(state, belief=belief), estimate, prior, searched_at)
+        found = replace(found, estimate=with_others(self.model, found.estimate, turned))
+        return Found(found, innovations, table, remedy, wrong)
 
     def _answer(
         self, state: TrackState, estimate: PoseEstimate, prior: PosePrior, searched_at: float
@@ -427,7 +430,8 @@ class Follower:
             return last.estimate.inflated(state.belief.walked(state.stamp, last.stamp))
         now = state.belief.known.now
         # Without touch every direction is unobservable.
-        return PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        seen = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        return with_rivals(self.model, seen, state.images.rivals)
 
 
 def _has_slid(belief: Belief, last: Correction) -> bool:

@@ -18,8 +18,11 @@ from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
 from handsight.correction.modes import MAX_MODES, SAME_MODE, apart, chi2_limit, in_metres, pose_distances
 from handsight.correction.weight import CONTRADICTS
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
+from handsight.tracking.search import Solver
+from handsight.vision.object.rivals import Rivals
 
 OVERLAP = chi2_limit(6, 0.05)
 """Two Gaussian poses overlap if the χ² of their difference is below this, its 95 % quantile."""
@@ -100,11 +103,59 @@ def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.
     return replace(estimate, modes=np.array(found))
 
 
-def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:
-    """Returns how far the relevant hypotheses are apart, for a person; empty where there is one."""
+def ambiguity(model: ObjectModel, estimate: PoseEstimate, evidence: str) -> str:
+    """Returns how far the relevant hypotheses are apart that some evidence explains, for a person; empty where there is
+    one."""
     relevant = [row["T_palm_object"] for row in estimate.modes[1:] if row["weight"] > RELEVANT_WEIGHT]
     Ts = np.array(relevant).reshape(-1, 4, 4)
-    return apart(model, Ts, estimate.modes[0]["T_palm_object"], "touch")
+    return apart(model, Ts, estimate.modes[0]["T_palm_object"], evidence)
+
+
+def among_rivals(
+    model: ObjectModel, solver: Solver, rivals: Rivals, estimate: PoseEstimate, prior: PosePrior
+) -> tuple[PoseEstimate, PosePrior, list[np.void]]:
+    """Returns the likeliest of an estimate and of those at the poses that images cannot tell from it, with its prior,
+    and the modes of the others; touch and images weigh them. Raises Unfinished."""
+    found = [(0.0, estimate, prior)]
+    of_touch = log_evidence(model, estimate, prior) if len(rivals) else 0.0
+    for T_object_rival, log_odds in zip(rivals.T_object_rivals, rivals.log_odds, strict=True):
+        there = _at_rival(prior, T_object_rival)
+        other = solver.refine(there, estimate.T_palm_object_maximum @ T_object_rival)
+        if other is not None:
+            gain = log_evidence(model, other, there) - of_touch
+            found.append((log_odds + gain, other, there))
+    found.sort(key=lambda one: -one[0])
+    log_best, estimate, prior = found[0]
+    others = [_weighed(other, log_weight - log_best, estimate) for log_weight, other, _ in found[1:]]
+    return estimate, prior, others
+
+
+def with_rivals(model: ObjectModel, estimate: PoseEstimate, rivals: Rivals) -> PoseEstimate:
+    """Returns the likeliest of the estimate of a followed object without touch and of the poses that images cannot tell
+    from it, with the others."""
+    known = PosePrior.trusted(estimate.T_palm_object, estimate.bounded_covariance)
+    found = [(0.0, estimate)]
+    for T_object_rival, log_odds in zip(rivals.T_object_rivals, rivals.log_odds, strict=True):
+        there = _at_rival(known, T_object_rival)
+        other = PoseEstimate.from_gaussian(there.T_palm_object, there.covariance, estimate.unobservable)
+        found.append((log_odds, other))
+    found.sort(key=lambda one: -one[0])
+    log_best, best = found[0]
+    others = [_weighed(other, log_weight - log_best, best) for log_weight, other in found[1:]]
+    return with_others(model, best, others)
+
+
+def _weighed(estimate: PoseEstimate, log_odds: float, best: PoseEstimate) -> np.void:
+    """Returns the mode of an estimate (ANSWER) with its weight, given its log odds against the best estimate."""
+    row = estimate.answer.copy()
+    row["weight"] = best.answer["weight"] * math.exp(log_odds)
+    return row
+
+
+def _at_rival(prior: PosePrior, T_object_rival: Array) -> PosePrior:
+    """Returns a prior for a rival (4, 4), whose pose is known as well as that of a prior."""
+    there = GaussianPose(prior.T_palm_object, prior.covariance).at_point(T_object_rival[:3, 3])
+    return PosePrior.trusted(prior.T_palm_object @ T_object_rival, there.covariance)
 
 
 def normalised(log_weights: Array) -> Array:

@@ -24,6 +24,7 @@ from handsight.tracking.smoother import STILL, Motion
 from handsight.vision import FirstPoseSource, PalmDetection
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
+from handsight.vision.object.rivals import NO_RIVALS, Rivals
 from handsight.vision.palm.hand_in_image import HandInImage
 
 if TYPE_CHECKING:
@@ -165,9 +166,9 @@ class ImageVision:
         return {} if self._images is None else dict(self._images.counts)
 
     @property
-    def ambiguity(self) -> str:
-        """How far poses that all images explain are apart, in words; empty where there is one."""
-        return "" if self._images is None else self._images.ambiguity
+    def rivals(self) -> Rivals:
+        """Other poses that all images explain, in the frame of the object at the one that is followed."""
+        return NO_RIVALS if self._images is None else self._images.rivals
 
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
@@ -217,8 +218,8 @@ class ObjectInImages:
         self._hand = HandInImage(rig)
         self.lost = True
         """Whether the last image did not show the object."""
-        self.ambiguity = ""
-        """How far poses that all images explain are apart, in words; empty where there is one."""
+        self.rivals = NO_RIVALS
+        """Other poses that all images explain, in the frame of the object at the one that is followed."""
         self._detected_at = self._palm_searched_at = -np.inf
         self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
         """The number of images, of those in which the object was detected, of searches for the palm, and of detections
@@ -242,7 +243,7 @@ class ObjectInImages:
         seen: dict[str, Any] = {"hand": mask, "T_camera_palm": T_camera_palm, "gripped": expected is not None}
         found = self.tracker.update(stamp, image, expected=expected, **seen)
         self.lost = found.T_camera_object is None
-        self.ambiguity = self.tracker.ambiguity
+        self.rivals = self.tracker.rivals
         # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return ImageResult(None, view)

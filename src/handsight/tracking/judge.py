@@ -138,7 +138,8 @@ def _doubt(model: ObjectModel, state: TrackState, estimate: PoseEstimate, most: 
         return _with("the contacts do not fit the object at its estimated pose", other)
     if unzeroed := ", ".join(state.touch.skin.unzeroed):
         return f"skin {unzeroed}: pressed since its first readings: its offset is unknown"
-    if doubt := state.weight.doubt or state.images.ambiguity or ambiguity(model, estimate):
+    evidence = "images" if len(state.images.rivals) else "touch"
+    if doubt := state.weight.doubt or ambiguity(model, estimate, evidence):
         return doubt
     misfit = known.innovations.worst
     if state.correction is not None and misfit is not None:

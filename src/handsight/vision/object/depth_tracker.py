@@ -114,14 +114,10 @@ class DepthTracker:
         self._T_object_center = se3.compose(np.eye(3), model.center_object)
         self._start = None if start is None else se3.rounded(start, "start")
         self._track: _Track | None = None
-        self._rivals = NO_RIVALS
+        self.rivals = NO_RIVALS
+        """Other poses that all images explain."""
         self._searched = -np.inf
         self._absent = "not found"
-
-    @property
-    def ambiguity(self) -> str:
-        """How far other poses that all images explain are from the followed one; empty where there are none."""
-        return self._rivals.reason(self.model)
 
     def update(
         self,
@@ -153,15 +149,16 @@ class DepthTracker:
         if expected is not None:
             expected = se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
-        track, rivals, searched = self._track, self._rivals, self._searched
+        track, rivals, searched = self._track, self.rivals, self._searched
         sighting = self._observed(_Image(now, depth, hand, table, T_camera_palm, gripped), expected)
         if track is not None and 0 < track.stamp - now <= MAX_GAP:
-            self._track, self._rivals, self._searched = track, rivals, searched
+            self._track, self.rivals, self._searched = track, rivals, searched
         return sighting
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
         """Returns where the object is in an image, and remembers that."""
         predicted = None if self._track is None else self._predicted(image, self._track)
+        rivals = self.rivals
         self._absent = "not found"
         reasons = list[str]()
         candidate = np.zeros(1, dtype=CANDIDATE)
@@ -174,7 +171,7 @@ class DepthTracker:
                     candidate = refined.candidate
                 reasons.append(reason)
         self._track = predicted and replace(predicted, prior=LOST, seen=-np.inf)
-        self._rivals = NO_RIVALS
+        self.rivals = rivals
         reason = reasons[0] if reasons else self._absent
         return Sighting(image.stamp, None, None, "lost", reason, candidate)
 
@@ -184,7 +181,7 @@ class DepthTracker:
             hint = self._start
         lost = predicted is None or predicted.prior == LOST
         if hint is not None and (predicted is None or lost or self._is_far(predicted, hint)):
-            self._rivals = NO_RIVALS
+            self.rivals = NO_RIVALS
             yield _anew(image, hint, FOLLOWED)
         if predicted is not None and not (lost and hint is not None):
             yield predicted
@@ -197,9 +194,9 @@ class DepthTracker:
     def _of_rivals(self, image: _Image, track: _Track) -> Iterator[_Track]:
         """Yields where the object may be if the pose that is followed is not the right one of those that looked alike,
         the likeliest first; the rivals are then those of that pose."""
-        rivals = self._rivals
+        rivals = self.rivals
         for number in np.argsort(-rivals.log_odds):
-            self._rivals = rivals.against(int(number))
+            self.rivals = rivals.against(int(number))
             yield _anew(image, track.T_camera_object @ rivals.T_object_rivals[number], FOLLOWED)
 
     def _is_far(self, track: _Track, T_camera_object: Array) -> bool:
@@ -278,7 +275,7 @@ class DepthTracker:
         if not len(Ts):
             return None
         if self._track is None:
-            self._rivals = Rivals.of(self.model, found, 0)
+            self.rivals = Rivals.of(self.model, found, 0)
             return _anew(image, Ts[0], FOLLOWED)
         # Of poses that fit alike, the one turned least from where it was.
         alike = np.flatnonzero(found.weights >= MIN_TWIN * found.weights.max())
@@ -289,7 +286,7 @@ class DepthTracker:
     def _told_apart(self, image: _Image, track: _Track, refined: RefinedPose) -> tuple[RefinedPose, Rivals]:
         """Returns what an image says of the pose that is followed from now on, and the rivals that are left."""
         T = refined.pose_camera_object.T_a_b
-        rivals = self._rivals
+        rivals = self.rivals
         looks = [
             self._refined(image, replace(track, T_camera_object=T @ each), DRIFT_IN_PALM, None)
             for each in rivals.T_object_rivals
@@ -307,8 +304,8 @@ class DepthTracker:
     def _followed(self, image: _Image, track: _Track, refined: RefinedPose) -> Sighting:
         """Returns what an image says of a pose that it does not contradict, from which the object is followed on."""
         enough = _is_enough(refined)
-        if enough and len(self._rivals):
-            refined, self._rivals = self._told_apart(image, track, refined)
+        if enough and len(self.rivals):
+            refined, self.rivals = self._told_apart(image, track, refined)
         measured = refined.pose_camera_object
         T = measured.T_a_b
         covariance = measured.covariance
@@ -328,7 +325,7 @@ class DepthTracker:
         reason = "" if enough else HIDDEN
         if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
             reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
-        reason = reason or self.ambiguity
+        reason = reason or self.rivals.reason(self.model)
         state: State = "uncertain" if reason else "tracking"
         return Sighting(image.stamp, T, covariance, state, reason, refined.candidate)
 
