@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 @dataclass
 class Entrant:
-    """An `Entrant` is one peer in one case, with its measurements."""
+    """One peer in one case, with its measurements."""
 
     key: str
     peer: Peer

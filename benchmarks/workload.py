@@ -29,7 +29,7 @@ Solve = Callable[[], Any]
 
 
 class Peer(Protocol):
-    """A `Peer` is one way to solve a correction problem."""
+    """One way to solve a correction problem."""
 
     name: str
     """Name in tables."""
@@ -49,7 +49,7 @@ class Peer(Protocol):
 
 @dataclass(frozen=True)
 class Problem:
-    """A `Problem` is one grasp with its truth."""
+    """One grasp with its truth."""
 
     object_name: str
     model: hs.ObjectModel
@@ -70,7 +70,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A `Verdict` is the error of an answer, modulo symmetry, in the directions that contacts observe."""
+    """The error of an answer, modulo symmetry, in the directions that contacts observe."""
 
     shift: float
     """[m]"""

@@ -37,7 +37,7 @@ COMES = 8
 
 
 class Instant(NamedTuple):
-    """An `Instant` is one image of a sequence, and what is true."""
+    """One image of a sequence, and what is true."""
 
     stamp: float
     depth: Array
@@ -52,7 +52,7 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Occluder:
-    """An `Occluder` is a body before an object."""
+    """A body before an object."""
 
     vertices: Array
     """(k, 3)"""

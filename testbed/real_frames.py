@@ -37,7 +37,7 @@ LEAST_VISIBLE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """An `Instance` is an object in an image, where it truly is."""
+    """An object in an image, where it truly is."""
 
     name: str
     T_camera_object: Array
@@ -50,7 +50,7 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class RealFrame:
-    """A `RealFrame` is a depth image, and all known objects in it."""
+    """A depth image, and all known objects in it."""
 
     scene: str
     name: str

@@ -327,7 +327,7 @@ class ManyOptions(NamedTuple):
 
 
 class ManyScene(NamedTuple):
-    """A `ManyScene` has contacts and vision's pose, and the truth."""
+    """Contacts and vision's pose, and the truth."""
 
     contacts: hs.Contacts
     vision: hs.PosePrior

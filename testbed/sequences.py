@@ -255,7 +255,7 @@ def timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 
 class Followed:
-    """A `Followed` is a DepthTracker, with or without the palm's motion."""
+    """A DepthTracker, with or without the palm's motion."""
 
     def __init__(self, model: hs.ObjectModel, T: Array, *, palm: bool) -> None:
         """Begins at the true pose."""
@@ -277,7 +277,7 @@ class Followed:
 
 
 class SmallGicp:
-    """A `SmallGicp` aligns an image's points with the model's cloud by PLANE_ICP in one thread; `align` is timed."""
+    """Aligns an image's points with the model's cloud by PLANE_ICP in one thread; `align` is timed."""
 
     def __init__(self, model: hs.ObjectModel, T: Array) -> None:
         """Begins at the true pose. Raises ImportError without small_gicp."""

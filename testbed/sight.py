@@ -23,7 +23,7 @@ LOOKS_ALIKE = 0.02
 
 
 class Bin(NamedTuple):
-    """A `Bin` states where an object is, and the share of its silhouette that is hidden."""
+    """Where an object is, and the share of its silhouette that is hidden."""
 
     table: bool
     hand: bool

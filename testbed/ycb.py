@@ -54,7 +54,7 @@ def data_or_goodbye() -> Path:
 
 @dataclass(frozen=True)
 class YcbObject:
-    """A `YcbObject` is an object's model with symmetries, and its surface to judge poses by."""
+    """An object's model with symmetries, and its surface to judge poses by."""
 
     model: hs.ObjectModel
     queries_object: Array

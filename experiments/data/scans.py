@@ -37,7 +37,7 @@ Draw = Callable[[Rng], scenes.Surface]
 
 @dataclass(frozen=True)
 class Thing:
-    """A `Thing` is an object, and how it is touched."""
+    """An object, and how it is touched."""
 
     model: hs.ObjectModel
     draw: Draw

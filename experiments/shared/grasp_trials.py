@@ -32,7 +32,7 @@ INSTANTS = 10.0
 
 @dataclass(frozen=True)
 class Trial:
-    """A `Trial` is a grasp at its last instant."""
+    """A grasp at its last instant."""
 
     scenario: Scenario
     sample: Sample

@@ -24,7 +24,7 @@ USUAL = ("nothing is", "the palm has not risen", "a finger is on the table", "th
 
 @dataclass(frozen=True)
 class Wrong:
-    """A `Wrong` is an error of the simulation, of the readings, or of what the robot believes."""
+    """An error of the simulation, of the readings, or of what the robot believes."""
 
     nuisances: Mapping[str, float] = field(default_factory=dict)
     change: Callable[[Any], Any] = lambda observation: observation

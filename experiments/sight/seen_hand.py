@@ -42,7 +42,7 @@ ARM = ("robot0:forearm", "robot0:wrist")
 
 
 class Stage:
-    """A `Stage` is the hand, the objects, and all that is computed of them once."""
+    """The hand, the objects, and all that is computed of them once."""
 
     def __init__(self) -> None:
         self.hand = rig_of(Scenario(object="can")).hand

@@ -49,7 +49,7 @@ TIP = 5e-4
 
 @dataclass(frozen=True)
 class Problem:
-    """A `Problem` is what a robot has recorded and what it believes."""
+    """What a robot has recorded and what it believes."""
 
     samples: list[Sample]
     rig: hs.Rig
@@ -58,7 +58,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Case:
-    """A `Case` is one row of the table."""
+    """One row of the table."""
 
     title: str
     nuisances: Callable[[int], Nuisances] = lambda seed: Nuisances()

@@ -46,7 +46,7 @@ WAYS = (("without weight", ""), ("weighed", "weighed "))
 
 @dataclass(frozen=True)
 class Felt:
-    """A `Felt` is detections and truth, sample by sample, from when the object is in the hand."""
+    """Detections and truth, sample by sample, from when the object is in the hand."""
 
     stamps: Array
     alarms: Array

@@ -19,8 +19,10 @@ from handsight._kernels.touch.slip_records import BINS, FIRST, FRICTION
 
 
 class Friction:
-    """A `Friction` is an estimate of μ from what was declared, and from all loads so far. `update` binds its attributes
-    anew and changes none in place, so that a shallow copy evolves apart from it."""
+    """An estimate of μ from what was declared, and from all loads so far.
+
+    `update` binds its attributes anew and changes none in place, so that a shallow copy evolves apart from it.
+    """
 
     def __init__(self, declared: float | None = None, sigma: float | None = None) -> None:
         """Starts without any load; `declared` is μ with its standard deviation, None where it is unknown."""

@@ -46,7 +46,7 @@ LINK_TAXELS = "the taxels of {}"  # name of the load sensor that a link's taxels
 
 
 class LoadSensor(NamedTuple):
-    """A `LoadSensor` measures the load on one link: a fingertip's six-axis sensor, or the link's three-axis taxels.
+    """What measures the load on one link: a fingertip's six-axis sensor, or the link's three-axis taxels.
 
     Taxels have no bias, as the tracker has subtracted it, and nothing hangs on them.
     """
@@ -113,7 +113,7 @@ def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSum:
-    """A `LoadSum` is the sum of the loads on all t sensors (`load_sensors`), averaged over a short time.
+    """The sum of the loads on all t sensors (`load_sensors`), averaged over a short time.
 
     It is along the palm's axes, about the palm's origin.
     """
@@ -174,11 +174,7 @@ def load_sum(
     n = len(observations)
     sensors = load_sensors(rig) if sensors is None else sensors
     chains, learnt = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
-    offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
-    rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    # In plain floats: NumPy takes longer to read so many from dicts than to add them up.
-    mean = {name: sum([row[name] for row in rows]) / n - offsets.get(name, 0.0) for name in chains.joints}
-    Ts_palm_link, axes = chains.poses(mean)
+    Ts_palm_link, axes = chains.poses(_mean_joints(rig.hand, chains, observations, joints))
     Ts_palm_sensor = Ts_palm_link @ np.array([sensor.T_frame_sensor for sensor in sensors])
     places = Ts_palm_sensor[:, :3, 3]
     middle = np.array([point for point, _ in touched.values()] or places).mean(axis=0)
@@ -188,12 +184,8 @@ def load_sum(
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
     J = chains.jacobians(places.copy(), np.arange(len(sensors)), axes, learnt)
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
-    sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
-    B = by_bias * sigmas.ravel()
-    C = by_joint @ rig.hand.couplings.changes(rig.hand.moving, {})
-    # Errors in proportion to a load, as of hysteresis, last longer than a mean.
-    gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(PATCH)
-    lasting = by_bias * ((gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0])[:, None] * sigmas).ravel()
+    by_encoder = rig.sigma_joint * by_joint @ rig.hand.couplings.changes(rig.hand.moving, {})
+    taxels = np.array([sensor.taxels for sensor in sensors])
     index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
@@ -203,13 +195,36 @@ def load_sum(
         by_joint=by_joint,
         by_bias=by_bias,
         readings=readings,
-        noise=(B @ B.T + rig.sigma_joint**2 * C @ C.T) / n + lasting @ lasting.T,
+        noise=by_encoder @ by_encoder.T / n + _noise_of_sensors(sensors, by_bias, forces, n),
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
         Ts_palm_tip=np.where(taxels[:, None, None], Ts_palm_sensor, Ts_palm_link),
         forces=forces,
         touched={index[name]: contact for name, contact in touched.items()},
     )
+
+
+def _mean_joints(
+    hand: Hand, chains: Chains, observations: Sequence[Observation], joints: Array
+) -> dict[str, float]:
+    """Returns the mean position of each joint of chains less its estimated offset; `joints` (j,) are the offsets."""
+    offsets = dict(zip(hand.moving, joints.tolist(), strict=True))
+    rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
+    # In plain floats: NumPy takes longer to read so many from dicts than to add them up.
+    return {
+        name: sum([row[name] for row in rows]) / len(rows) - offsets.get(name, 0.0) for name in chains.joints
+    }
+
+
+def _noise_of_sensors(sensors: Sequence[LoadSensor], by_bias: Array, forces: Array, n: int) -> Array:
+    """Returns the covariance (6, 6) of a sum of loads, each a mean of n readings, due to the readings' noise."""
+    sigmas = np.array([sensor.sigma for sensor in sensors])
+    passing = by_bias * sigmas.ravel()
+    # Errors in proportion to a load, as of hysteresis, last longer than a mean.
+    gains = np.array([sensor.taxels * sensor.sigma_gain for sensor in sensors]) / np.sqrt(PATCH)
+    shares = gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0]
+    lasting = by_bias * (shares[:, None] * sigmas).ravel()
+    return np.asarray(passing @ passing.T / n + lasting @ lasting.T)
 
 
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:

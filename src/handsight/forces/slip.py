@@ -31,7 +31,7 @@ UNKNOWN_FRICTION = "friction is neither declared nor shown by the loads so far, 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """A `Slip` says whether the object slips at one instant, and how near each finger is to slipping."""
+    """Whether the object slips at one instant, and how near each finger is to slipping."""
 
     slipping: bool = False  # whether the object slips
     ratios: Mapping[str, float] = field(default_factory=dict)
@@ -59,7 +59,7 @@ class Slip:
 
 
 class SlipDetector:
-    """A `SlipDetector` detects slips from loads over time.
+    """Detects slips from loads over time.
 
     `update` binds its attributes anew and changes none in place, so that a shallow copy evolves apart from it.
     """
@@ -125,13 +125,19 @@ class SlipDetector:
         turns = [row[3] for number, row in read if row[3] and self._turns(number, R_world_palm)]
         if turns or news:
             friction.update(turns, kept_up, gain)
+        self.now = self._judged(rows, numbers, gain)
+        return self.now
+
+    def _judged(self, rows: Mapping[str, Sequence[float]], numbers: Sequence[int], gain: float) -> Slip:
+        """Returns whether the object slips now, by what `follow_loads` has read of each finger, of these numbers, and
+        by the largest error of their gains."""
+        friction = self.friction
         unmeasured = tuple([name for name, row in rows.items() if not row[0]])
         # NaN does not equal itself.
         held = {name: row for name, row in rows.items() if row[1] == row[1]}
         mu = friction.coefficient
         if mu is None:
-            self.now = Slip(unmeasured=unmeasured, doubt=UNKNOWN_FRICTION if held else "")
-            return self.now
+            return Slip(unmeasured=unmeasured, doubt=UNKNOWN_FRICTION if held else "")
         ratios = {name: row[1] / mu for name, row in held.items()}
         # Hysteresis, in the ratio and in time.
         was = self.now
@@ -139,22 +145,21 @@ class SlipDetector:
         highest = min((row[2] / mu for row in held.values()), default=0.0)
         limit = SLIP.end_ratio if was.slipping else SLIP.begin_ratio
         known = friction.declared or friction.certain
-        at_limit = highest >= limit or self._bounces(ratios)
-        if known and at_limit and (gain == 0 or self._changes(fingers, numbers, ratios)):
-            self._at_limit = stamp
+        at_limit = known and (highest >= limit or self._bounces(ratios))
+        if at_limit and (gain == 0 or self._changes(tuple(rows), numbers, ratios)):
+            self._at_limit = self.stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
-        slipping = least >= SLIP.stick_ratio and seconds(stamp, self._at_limit) <= holds_after
-        self.now = Slip(
+        slipping = least >= SLIP.stick_ratio and seconds(self.stamp, self._at_limit) <= holds_after
+        return Slip(
             slipping=slipping,
             ratios=ratios,
             friction=mu,
-            began=stamp if slipping and not was.slipping else was.began,
-            ended=stamp if was.slipping and not slipping else was.ended,
+            began=self.stamp if slipping and not was.slipping else was.began,
+            ended=self.stamp if was.slipping and not slipping else was.ended,
             sigma_friction=friction.sigma,
             unmeasured=unmeasured,
             doubt=_doubt(friction, highest),
         )
-        return self.now
 
     def _turns(self, number: int, R_world_palm: Array) -> bool:
         """Returns whether a finger's load, which has turned in the palm, has turned in the world too, without getting

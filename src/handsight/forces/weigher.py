@@ -66,7 +66,7 @@ ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small f
 
 
 class Weigher:
-    """A `Weigher` estimates the weight of one object in one hand over time.
+    """Estimates the weight of one object in one hand over time.
 
     Its methods bind its attributes anew and change none in place, so that a shallow copy evolves apart from it.
     """
@@ -191,46 +191,25 @@ class Weigher:
 
     def _weigh(self, load: LoadSum, root: Array, *, pivots: bool) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
-            motion = moved_with_tips(self._last, load)
-            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-            sigma = LOOSE_OBJECT_CREEP if self._loose or motion is None else OBJECT_CREEP
-            sigma *= float(np.sqrt(max(seconds(load.stamp, self._last.stamp), 0.0)))
-            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
+        self._carry_on(load)
         self._last = load
         self._loose = pivots
         self._summed = None
         direction = load.gravity / np.linalg.norm(load.gravity)
         new = _angles([each.load.gravity for each, _ in self._kept], direction) > NEW_DIRECTION
         far = [each for (each, _), is_new in zip(self._kept, new, strict=True) if is_new]
-        self.instants = instants = (*far, Carried(load))
-        # Calibration leaves biases that are about as large as a reading's noise.
-        biases = np.concatenate([sensor.sigma for sensor in self.sensors])
-        gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
-        exactly = Unknowns(root, biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
-        before = self.weighing
-        found = weigh(instants, replace(exactly, gains=gains), before)
-        self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
-        if self.assumed and found.consistent:
-            found = weigh(instants, replace(exactly, gains=gains, unfelt=SIGMA_UNFELT), found)
+        self.instants = (*far, Carried(load))
+        found = self._found(root)
         lifts = found.mass < -WRONG_MASS * found.sigma_mass
         other_mass = self._other_mass(found)
         if self.mass is not None and not lifts and not other_mass:
             found = found.given_mass(self.mass, self.sigma_mass)
-        few = self._doubted and len(instants) < TRUSTED_DIRECTIONS
-        away = float(np.abs(found.center_palm - load.middle_palm).max())
-        tests = (
-            (lifts, WRONG_SIGN if _pulls(load) else PULLED_UP),
-            (other_mass, other_mass),
-            (not away < MAX_REACH, f"the loads would be those of a weight {away:.1f} m away from the hand"),
-            (not found.consistent, BORNE_ELSEWHERE),
-            (few, f"loads have fitted no weight, and not one in {TRUSTED_DIRECTIONS} directions since"),
-        )
-        self.reason = next((reason for failed, reason in tests if failed), "")
+        self.reason = self._distrust(found, load, other_mass, lifts=lifts)
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         # Where only the declared mass contradicts them, the loads still fit those that were kept.
-        if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
+        fits = not self.reason or (found.consistent and not self._doubted)
+        if fits or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if seconds(load.stamp, self._fits_at) > RESTART_AFTER:
             self._kept = ()
@@ -238,6 +217,45 @@ class Weigher:
             self._doubted = True
         if load.acceleration <= MAX_ACCELERATION and load.turning <= MAX_TURNING:
             self._keep(load)
+
+    def _carry_on(self, load: LoadSum) -> None:
+        """Carries the kept instants on to that of a load, as the object has moved in the grip since the last one."""
+        if not self._kept or self._last is None:
+            return
+        motion = moved_with_tips(self._last, load)
+        T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+        speed = LOOSE_OBJECT_CREEP if self._loose or motion is None else OBJECT_CREEP
+        since = max(seconds(load.stamp, self._last.stamp), 0.0)
+        sigma = speed * float(np.sqrt(since))
+        self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
+
+    def _found(self, root: Array) -> Weighing:
+        """Returns what the instants weigh, and notes what that has to assume; `root` is the L of `update`."""
+        instants = self.instants
+        # Calibration leaves biases that are about as large as a reading's noise.
+        biases = np.concatenate([sensor.sigma for sensor in self.sensors])
+        gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
+        exactly = Unknowns(root, biases, CREEP, self.rig.gravity, SIGMA_GRAVITY)
+        found = weigh(instants, replace(exactly, gains=gains), self.weighing)
+        self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
+        if self.assumed and found.consistent:
+            found = weigh(instants, replace(exactly, gains=gains, unfelt=SIGMA_UNFELT), found)
+        return found
+
+    def _distrust(self, found: Weighing, load: LoadSum, other_mass: str, *, lifts: bool) -> str:
+        """Returns why a weighing is not trusted; empty where it is. `lifts`: its mass is below zero."""
+        if lifts:
+            return WRONG_SIGN if _pulls(load) else PULLED_UP
+        if other_mass:
+            return other_mass
+        away = float(np.abs(found.center_palm - load.middle_palm).max())
+        if not away < MAX_REACH:
+            return f"the loads would be those of a weight {away:.1f} m away from the hand"
+        if not found.consistent:
+            return BORNE_ELSEWHERE
+        if self._doubted and len(self.instants) < TRUSTED_DIRECTIONS:
+            return f"loads have fitted no weight, and not one in {TRUSTED_DIRECTIONS} directions since"
+        return ""
 
     def _other_mass(self, found: Weighing) -> str:
         """Returns how a weighing contradicts the declared mass; empty where it does not, as in one direction alone."""
@@ -282,7 +300,7 @@ def _angles(vectors: Sequence[Array], direction: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectWeight:
-    """An `ObjectWeight` is the mass and the centre of mass of the object in the hand, from the fingertips' loads."""
+    """The mass and the centre of mass of the object in the hand, from the fingertips' loads."""
 
     mass: float  # [kg]
     sigma_mass: float  # [kg]
@@ -308,7 +326,7 @@ class ObjectWeight:
 
 
 class WeightSensor:
-    """A `WeightSensor` weighs the object in the air, and measures where its centre of mass is in the palm."""
+    """Weighs the object in the air, and measures where its centre of mass is in the palm."""
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """An object without a declared centre of mass is weighed too, but that is no evidence of its pose."""

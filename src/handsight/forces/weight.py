@@ -116,7 +116,7 @@ class Weighing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A `Carried` is the load at an earlier instant, and how the object has moved in the palm since then."""
+    """The load at an earlier instant, and how the object has moved in the palm since then."""
 
     load: LoadSum
     T_now_then: Array = field(default_factory=lambda: np.eye(4))

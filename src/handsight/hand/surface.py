@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ShapeKind(IntEnum):
-    """A `ShapeKind` is one of MuJoCo's kinds of shapes that a hand can have; planes and height fields are none."""
+    """MuJoCo's kinds of shapes that a hand can have; planes and height fields are none."""
 
     SPHERE = 2
     CAPSULE = 3
@@ -29,7 +29,7 @@ class ShapeKind(IntEnum):
 
 
 class LinkMesh(NamedTuple):
-    """A `LinkMesh` is the surface of one link."""
+    """The surface of one link."""
 
     vertices: Array  # (k, 3) vertices in the link's axes [m]
     faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
@@ -51,7 +51,7 @@ class OnLinks:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandShape(OnLinks):
-    """A `HandShape` has triangles each of which moves with one link of a hand."""
+    """Triangles each of which moves with one link of a hand."""
 
     vertices_body: Array  # (k, 3) vertices in the axes of their link [m]
     faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
@@ -73,7 +73,7 @@ class HandShape(OnLinks):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandSurface(OnLinks):
-    """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
+    """Points on links of a hand; no object can be deeper in the hand than these points."""
 
     points_body: Array  # (k, 3) points in the axes of their link [m], inside the surface by the given depth
     normals: Array  # (k, 3) unit outward normals in the axes of their link

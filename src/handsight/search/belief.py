@@ -50,7 +50,7 @@ MAX_SEED = 2**32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
+    """Particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
 
     pose_world_object: GaussianPose  # mean and covariance, with the errors of the table's height and tilt
     probability: float  # the mode's share of all particles
@@ -65,7 +65,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A `Belief` is the posterior of the object's pose given all touches so far, as equally likely particles."""
+    """The posterior of the object's pose given all touches so far, as equally likely particles."""
 
     model: ObjectModel
     area: Area

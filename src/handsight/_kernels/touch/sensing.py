@@ -65,7 +65,7 @@ about_normal = lane(so3.about_normal)
 
 
 class Fingertip(NamedTuple):
-    """A `Fingertip` has the numbers of a record FINGERTIP, and constants computed from them."""
+    """The numbers of a record FINGERTIP, and constants computed from them."""
 
     semi_axes: Vec3
     W: Vec3  # reciprocals of the semi-axes: the diagonal of W
