@@ -180,9 +180,7 @@ def _document(path: str | Path) -> Values | Array:
     return YamlFile(Path(path), text).values
 
 
-def _cameras(
-    values: Values, place: tuple[str, ...], unit: Unit | None
-) -> Iterator[tuple[str, _Described]]:
+def _cameras(values: Values, place: tuple[str, ...], unit: Unit | None) -> Iterator[tuple[str, _Described]]:
     """Yields the cameras that a mapping describes itself, else those in its parts, by the last key of their places.
 
     `unit`: of depth images, as a mapping around this one states it.
@@ -237,8 +235,8 @@ def _matrix(numbers: Array, name: str) -> tuple[tuple[float, ...], ...]:
 
 
 def _lens(named: Named) -> tuple[float, ...]:
-    """Returns the coefficients of the lens (n,), none where all are 0; raises InvalidInput for another kind of lens, and
-    for one under an unknown name, which would otherwise count as none."""
+    """Returns the coefficients of the lens (n,), none where all are 0; raises InvalidInput for another kind of lens,
+    and for one under an unknown name, which would otherwise count as none."""
     for key, _ in _listed(named, [name for name in named if re.search("lens|dist", name)]):
         if _plain_name(key) not in LENS:
             expected = f"expected a lens under a known name ({', '.join(LENS[:4])})"

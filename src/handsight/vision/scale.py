@@ -1,12 +1,11 @@
 """The scale of a mesh that has none, from a depth image of the object or from touches of it.
 
-A place P in the frame of the evidence, whose middle is c, is `x = Rᵀ(P - c) / s + q` in the mesh. Scales s are swept,
-each with the poses that the first pose of an image or a blind correction finds at it. From these, R, q and log s are
-refined together: depth points and touches lie on the surface, touches have its normal, and the line of sight at an
+A place P in the frame of the evidence is `x = Rᵀ(P - p) / s` in the mesh. Scales s are swept, each with the poses R, p
+that the first pose of an image or a blind correction finds at it. From these, R, p and log s are refined
+together: depth points and touches lie on the surface, touches have its normal, and the line of sight at an
 outline touches the surface (the least distance along it is 0).
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,16 +81,14 @@ class ScaleUnknown(InvalidInput):
 
 
 class _State(NamedTuple):
-    """A pose and a scale, as at the top of this module."""
+    """A scale, and the pose of the scaled mesh."""
 
-    R: Array
-    q: Array
+    T: Array
     scale: float
 
-    def moved(self, step: Array) -> "_State":
-        """Returns the state after a step (7,) of q, R and log s."""
-        R = se3.rotation_exp(step[3:6]) @ self.R
-        return _State(R, self.q + step[:3], float(self.scale * np.exp(step[6])))
+    def in_mesh(self, places: Array) -> Array:
+        """Returns places (n, 3) in the mesh."""
+        return se3.apply(se3.inverse(self.T), places) / self.scale
 
 
 class _Fit(NamedTuple):
@@ -117,10 +114,9 @@ class _Evidence:
     """(n,) [m]"""
     sigma_normals: Array | None = None
     """(n,) [rad]; None: a normal only tells the sides of the surface apart."""
-    edges: Array | None = None
-    """(m, 3) places on lines of sight from the origin, beside the object's outline, at its depth [m]."""
-    sigma_edges: Array | None = None
-    """(m,) [m]"""
+    edges: tuple[Array, Array] | None = None
+    """(m, 3) places on lines of sight from the origin, beside the object's outline, at its depth [m], and (m,) their
+    sigmas [m]; None where none counts."""
     prior: PosePrior | None = None
 
     @property
@@ -128,23 +124,19 @@ class _Evidence:
         """(3,) the points' mean [m]."""
         return np.asarray(self.points.mean(axis=0))
 
-    def state(self, T: Array, scale: float) -> _State:
-        """Returns the state at a pose (4, 4) of the scaled mesh."""
-        return _State(T[:3, :3], (self.center - T[:3, 3]) @ T[:3, :3] / scale, scale)
-
-    def pose(self, state: _State) -> Array:
-        """Returns the pose (4, 4) of the scaled mesh."""
-        return se3.compose(state.R, self.center - state.scale * state.R @ state.q)
-
-    def in_mesh(self, places: Array, state: _State) -> Array:
-        """Returns places (n, 3) in the mesh."""
-        return (places - self.center) / state.scale @ state.R + state.q
+    def moved(self, state: _State, step: Array) -> _State:
+        """Returns the state after a step (7,): a shift, and a turn and a growth (log) about the center."""
+        growth = np.exp(step[6])
+        turn = se3.rotation_exp(step[3:6])
+        arm = growth * turn @ (state.T[:3, 3] - self.center)
+        T = se3.compose(turn @ state.T[:3, :3], self.center + arm + step[:3])
+        return _State(T, float(state.scale * growth))
 
     def residuals(self, state: _State) -> Array:
         """Returns the residuals (k,), unitless."""
-        field = self.model.evaluate(self.in_mesh(self.points, state))
+        field = self.model.evaluate(state.in_mesh(self.points))
         off = field.distance * state.scale / self.sigma_points
-        normals = field.gradient @ state.R.T
+        normals = field.gradient @ state.T[:3, :3].T
         if self.sigma_normals is None:
             other_side = (normals * self.normals).sum(axis=1) < 0  # of a wall
             off[other_side] = 2 * ROBUST
@@ -154,10 +146,11 @@ class _Evidence:
             turned = (normals - self.normals) / self.sigma_normals[:, None]
             parts = [off, turned.ravel()]
         if self.edges is not None:
-            parts.append(self._beside(self.edges, state) * state.scale / self.sigma_edges)
+            places, sigmas = self.edges
+            parts.append(self._beside(places, state) * state.scale / sigmas)
         if self.prior is not None:
             whiten = np.linalg.inv(np.linalg.cholesky(self.prior.covariance))
-            parts.append(whiten @ se3.difference(self.pose(state), self.prior.T_palm_object))
+            parts.append(whiten @ se3.difference(state.T, self.prior.T_palm_object))
         return np.concatenate(parts)
 
     def _beside(self, places: Array, state: _State) -> Array:
@@ -166,11 +159,11 @@ class _Evidence:
         way = places / np.linalg.norm(places, axis=1)[:, None]
         for _ in range(4):  # to a two thousandth of the diameter
             tried = places[:, None] + reach * np.linspace(-1, 1, 9)[:, None] * way[:, None]
-            inside = self.in_mesh(tried.reshape(-1, 3), state)
+            inside = state.in_mesh(tried.reshape(-1, 3))
             distance = self.model.evaluate(inside).distance.reshape(len(places), -1)
             places = tried[np.arange(len(places)), distance.argmin(axis=1)]
             reach /= 4
-        return distance.min(axis=1)
+        return np.asarray(distance.min(axis=1))
 
     def loss(self, squared: Array) -> Array:
         """Returns Tukey's biweight (3, k) of squared residuals (k,), with its two derivatives."""
@@ -188,14 +181,14 @@ class _Evidence:
         """Returns the minimum near a state."""
         unit = np.append(np.full(3, self.model.diameter), np.ones(4))
         found = scipy.optimize.least_squares(
-            lambda step: self.residuals(start.moved(step)),
+            lambda step: self.residuals(self.moved(start, step)),
             np.zeros(7),
             loss=self.loss,
             x_scale=unit,
             max_nfev=steps,
         )
         information = found.jac.T @ found.jac + np.diag(unit**-2.0)
-        return _Fit(start.moved(found.x), found.cost, information)
+        return _Fit(self.moved(start, found.x), found.cost, information)
 
     def fits(self, starts: list[_State]) -> list[_Fit]:
         """Returns where the starts lead, the best first; raises InvalidInput where there are none."""
@@ -230,13 +223,13 @@ def scale_by_depth(
     z = rows["point"][:, 2]
     shape = SHAPE * extent
     edges = _edges(camera, scene.depth, scene.labels >= 0, 0.05 * extent)
+    sigma_edges = np.hypot(np.sqrt(2) * OUTLINE * edges[:, 2] / focal, shape)
     evidence = _Evidence(
         model,
         points=rows["point"].astype(float),
         normals=rows["normal"].astype(float),
         sigma_points=np.hypot(np.hypot(noise.sigma(z), noise.bias(z)), shape),
-        edges=edges if model.closed and len(edges) else None,
-        sigma_edges=np.hypot(np.sqrt(2) * OUTLINE * edges[:, 2] / focal, shape),
+        edges=(edges, sigma_edges) if model.closed and len(edges) else None,
     )
     starts = list[tuple[float, _State]]()
     for scale in _sweep(*bounds):
@@ -247,7 +240,7 @@ def scale_by_depth(
         for k in np.argsort(-odds)[:EACH]:
             T = found.Ts_camera_object[k].copy()
             T[:3, 3] *= scale
-            starts.append((float(odds[k]), evidence.state(T, scale)))
+            starts.append((float(odds[k]), _State(T, scale)))
     starts.sort(key=lambda each: -each[0])
     fits = evidence.fits([state for _, state in starts[:CANDIDATES]])
     variance = np.linalg.inv(fits[0].information)[6, 6]
@@ -296,7 +289,7 @@ def scale_by_touch(model: ObjectModel, contacts: Contacts, *, vision: PosePrior 
         for mode in correct_pose(model, smaller, vision=prior).hypotheses[:EACH]:
             T = mode.T_palm_object.copy()
             T[:3, 3] = scale * T[:3, 3] + evidence.center
-            starts.append(evidence.state(T, scale))
+            starts.append(_State(T, scale))
     fits = evidence.fits(starts)
     rows = len(evidence.residuals(fits[0].state))
     if 2 * fits[0].cost > rows + 4 * np.sqrt(2 * rows):
@@ -306,10 +299,11 @@ def scale_by_touch(model: ObjectModel, contacts: Contacts, *, vision: PosePrior 
     return _judged(evidence, fits, float(np.sqrt(variance)), bounds)
 
 
-def _sweep(low: float, high: float) -> Iterable[float]:
+def _sweep(low: float, high: float) -> list[float]:
     """Returns scales from the least to the largest, at equal ratios."""
     count = int(np.ceil(np.log(high / low) / np.log(STEP))) + 1
-    return np.geomspace(low, high, max(count, 2)).tolist()
+    scales: list[float] = np.geomspace(low, high, max(count, 2)).tolist()
+    return scales
 
 
 def _judged(evidence: _Evidence, fits: list[_Fit], share: float, bounds: tuple[float, float]) -> Scale:
@@ -335,7 +329,7 @@ def _judged(evidence: _Evidence, fits: list[_Fit], share: float, bounds: tuple[f
     if not bounds[0] / STEP < best.scale < bounds[1] * STEP:
         came = "one at the end of those that were tried"
         raise ScaleUnknown(f"expected a scale at which the object is about as large as seen, got {came}")
-    return Scale(best.scale, best.scale * share, evidence.pose(best))
+    return Scale(best.scale, best.scale * share, best.T)
 
 
 def _edges(camera: Camera, depth: Depth, inside: Mask, gap: float) -> Array:

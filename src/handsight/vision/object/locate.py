@@ -296,7 +296,9 @@ def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Ma
     They are those of a detector's score of `LOCATE_UNSCORED` if the pixels are about as many as the object's,
     because then somebody saw it there, and 0 for a wider region.
     """
-    inside = depth[wanted > 0] if wanted is not None and wanted.shape == depth.shape else depth[:0]
+    if wanted is None or wanted.shape != depth.shape:
+        return 0.0
+    inside = depth[wanted > 0]
     known = inside[inside > 0]
     if not len(known):
         return 0.0
