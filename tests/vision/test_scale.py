@@ -61,11 +61,12 @@ def touches(name, count, seed):
     return hs.Contacts(there, normals @ T[:3, :3].T + 0.1 * rng.normal(size=points.shape)), T
 
 
-def test_touches_and_a_rough_pose_tell_the_scale_within_three_sigmas():
+@pytest.mark.parametrize(("seed", "rough"), [(3, True), (1, False)])
+def test_touches_with_or_without_a_rough_pose_tell_the_scale_within_three_sigmas(seed, rough):
     model, by, _ = shape("letter")
-    contacts, T = touches("letter", 12, 3)
+    contacts, T = touches("letter", 12, seed)
     prior = hs.PosePrior.from_sigmas(se3.moved(T, np.array([0.01, -0.01, 0, 0.1, 0, -0.1])), 0.02, 0.2)
-    found = scale_by_touch(model, contacts, vision=prior)
+    found = scale_by_touch(model, contacts, vision=prior if rough else None)
     assert abs(found.factor - by) < 3 * found.sigma
 
 

@@ -173,7 +173,7 @@ class HandViews:
             return
         T_mount_camera = T_mount_palm @ se3.inverse(found.T_camera_palm)
         at_middle = GaussianPose(found.T_camera_palm, found.covariance).at_point(hand.middle)
-        pivot = se3.apply(T_mount_palm, hand.middle[None])[0]
+        pivot = hand.middle_at(T_mount_palm)
         self._views.append((T_mount_camera, pivot, at_middle.transformed(T_mount_camera).covariance))
 
     def calibration(self) -> HandCalibration | None:

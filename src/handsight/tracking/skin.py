@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,24 +120,21 @@ class SkinContacts:
 
     def contacts(self) -> Contacts | None:
         """Returns the contacts in the palm, those of fingers too; None where no taxel is pressed."""
-        found: Contacts | None = None
-        for touch, pose in self.touches.values():
-            more = touch.contacts(*pose.placed)
-            found = more if found is None else found if more is None else found.joined(more)
-        return found
+        parts = [touch.contacts(*pose.placed) for touch, pose in self.touches.values()]
+        given = [part for part in parts if part is not None]
+        return reduce(Contacts.joined, given) if given else None
 
     def evidence(self) -> SkinEvidence | None:
         """Returns the evidence of what is touched beside the contacts of fingers; None where there is none."""
-        found: SkinEvidence | None = None
+        parts = list[SkinEvidence]()
         for name, (touch, pose) in self.touches.items():
             given = touch.strongest if name in self.tips.values() else -1
             if len(touch.patches) > (given >= 0):
                 T, J = pose.placed
                 contacts = touch.contacts(T, J, given)
                 sigmas = touch.sigmas_common(J, given)
-                more = SkinEvidence(contacts, touch.outside(T), sigmas, touch.sigma_clearance)
-                found = more if found is None else found.joined(more)
-        return found
+                parts.append(SkinEvidence(contacts, touch.outside(T), sigmas, touch.sigma_clearance))
+        return reduce(SkinEvidence.joined, parts) if parts else None
 
     def news(self, last: "SkinContacts") -> bool:
         """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
@@ -205,18 +202,20 @@ class SkinSensors:
                 continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
-            if finger is not None and not surface.is_zeroed and known.count < TAXELS.min_rest:
+            offset_unknown = not surface.is_zeroed and known.count < TAXELS.min_rest
+            if finger is not None and offset_unknown:
                 strongest = touch.rise[touch.states[0] > LOW, -1]  # without filled taxels
                 if not strongest.max(initial=0.0) >= SURE_THRESHOLDS * surface.threshold:  # they are offsets
                     touch = surface.sensed(readings, known.baseline + touch.rise[:-1])
-            if len(touch.patches) and not surface.is_zeroed and known.count < TAXELS.min_rest:
+            if offset_unknown and len(touch.patches):
                 unzeroed.append(name)
             touches[name] = touch, LinkPose(self._chains[name], joints, self._errors[name])
-            if finger is not None:
-                link = self._links[name]
-                wrenches[link] = touch.wrench if link not in wrenches else wrenches[link] + touch.wrench
-            if finger is not None and len(touch.patches) and joints is not None:
-                other = touches[tips[finger]][0] if finger in tips else None
-                if other is None or other.patches["total"].max() < touch.patches["total"].max():
+            if finger is None:
+                continue
+            link = self._links[name]
+            wrenches[link] = wrenches.get(link, np.zeros(6)) + touch.wrench
+            if len(touch.patches) and joints is not None:
+                other = touches[tips.get(finger, name)][0]
+                if other is touch or other.patches["total"].max() < touch.patches["total"].max():
                     tips[finger] = name
         return SkinContacts(touches, watched, tips, wrenches, tuple(unzeroed))

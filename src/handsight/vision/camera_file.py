@@ -6,9 +6,10 @@ in a part of it; or a text of 3 x 3 or 4 x 4 numbers. Beside them may stand the 
 programs state in three ways; their values tell them apart.
 """
 
+import contextlib
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,10 @@ from handsight.msgspec_errors import decode_object
 from handsight.rig.yaml_file import YamlFile
 
 Values = Mapping[str, object]
+Named = Mapping[str, tuple[str, object]]
+"""Values by their plain names, each with the name that the file has, with those of the mappings around it."""
+Unit = tuple[str, float]
+"""Key and number by which a file states the unit of its depth images, where they are whole numbers."""
 Size = tuple[int, int]
 """Width and height [pixels]."""
 MAX_BYTES = 100_000_000
@@ -34,14 +39,9 @@ FORMS = (
 )
 MATRIX = ("matrix", "k", "camk", "cameramatrix", "intrinsicmatrix", "intrinsics", "intrinsic", "mtx")
 """Names of a matrix, as `_plain_name` has them; those below too."""
-NUMBERS = {
-    "fx": ("fx", "flx"),
-    "fy": ("fy", "fly"),
-    "cx": ("cx", "ppx"),
-    "cy": ("cy", "ppy"),
-    "width": ("width", "imagewidth", "w"),
-    "height": ("height", "imageheight", "h"),
-}
+FOCAL = {"fx": ("fx", "flx"), "fy": ("fy", "fly"), "cx": ("cx", "ppx"), "cy": ("cy", "ppy")}
+WIDTH = ("width", "imagewidth", "w")
+HEIGHT = ("height", "imageheight", "h")
 SIZE = ("resolution", "imagesize", "imgsize", "size")
 LENS = (
     *("lens", "d", "distcoeffs", "distortioncoefficients", "distortioncoeffs", "distortion"),
@@ -61,28 +61,19 @@ MOST_METRES = 0.01
 LEAST_STEPS = 100.0
 """A unit up to the first is metres a step (RealSense), from the second on steps a metre (TUM, ORB-SLAM, NICE-SLAM), and
 between them millimetres a step (BOP)."""
-KNOWN = {*LENS, *COEFFICIENTS, *MODEL}
-"""Names that may say something of a lens."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Described:
     """A camera as a file describes it."""
 
-    K: Array
-    """(3, 3)."""
-    lens: Array
+    K: tuple[tuple[float, ...], ...]
+    lens: tuple[float, ...]
     sides: tuple[Size, ...]
     """The sizes that the file may mean; none: it has none."""
-    unit: tuple[str, float] | None = None
-    """Key and number by which the file states the unit of its depth images, where they are whole numbers."""
-    key: str = "matrix"
+    unit: Unit | None = None
+    key: str = field(default="matrix", compare=False)
     """What the file calls the matrix."""
-
-    def equals(self, other: "_Described") -> bool:
-        """Returns whether the other is the same camera."""
-        same = np.array_equal(self.K, other.K) and np.array_equal(self.lens, other.lens)
-        return same and self.sides == other.sides and self.unit == other.unit
 
     def of_size(self, size: Size | None) -> Camera:
         """Returns the camera, whose images have a size; None: that of the file. Raises InvalidInput."""
@@ -91,10 +82,9 @@ class _Described:
         if size is not None and self.sides and size not in self.sides:
             came = " x ".join(map(str, self.sides[0]))
             expected = f"expected {size[0]} x {size[1]} pixels as the image's"
-            raise InvalidInput(
-                f"size: {expected}, got {came} (if the image was resized, --resized scales it)"
-            )
-        return Camera(self.K, size or self.sides[0], self.lens)
+            hint = "if the image was resized, --resized scales it"
+            raise InvalidInput(f"size: {expected}, got {came} ({hint})")
+        return Camera(np.array(self.K), size or self.sides[0], np.array(self.lens))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +93,7 @@ class CameraFile:
 
     path: Path
     found: Mapping[str, _Described]
-    """By their places in the file, the keys that lead there; empty for the file itself."""
-    numbered: Mapping[int, _Described]
-    """Those whose last key is the number of an image, as BOP has them."""
+    """By the last of the keys that lead to them, such as the number of an image; empty for the file itself."""
 
     def camera(self, size: Size | None = None, image: str = "", *, resized: bool = False) -> Camera:
         """Returns the camera of an image; arguments and errors are `read_camera`'s."""
@@ -115,9 +103,7 @@ class CameraFile:
                 return described.of_size(size)
             return described.of_size(None).resized(size or described.sides[0])
         except InvalidInput as error:
-            message = str(error)
-            if message.startswith("matrix: "):
-                message = f"{described.key}: {message.removeprefix('matrix: ')}"
+            message = re.sub(r"\Amatrix:", f"{described.key}:", str(error))
             raise InvalidFile(f"{self.path}: {message}") from None
 
     def step(self, image: str = "") -> tuple[float | None, str]:
@@ -127,19 +113,22 @@ class CameraFile:
         if unit is None:
             return None, ""
         key, number = unit
-        metres = number if number <= MOST_METRES else 1 / number if number >= LEAST_STEPS else 1e-3 * number
+        metres = 1e-3 * number
+        if number <= MOST_METRES:
+            metres = number
+        elif number >= LEAST_STEPS:
+            metres = 1 / number
         return metres, f"{key} {number:g} of {self.path.name}: {1e3 * metres:.4g} mm a step of depth"
 
     def _of(self, image: str) -> _Described:
         """Returns the camera of an image, of that number if there is one for each; raises InvalidFile."""
         number = re.search(r"\d+$", image)
-        if number and int(number[0]) in self.numbered:
-            return self.numbered[int(number[0])]
-        places = list(self.found)
-        first = self.found[places[0]]
-        different = [place for place in places if not self.found[place].equals(first)]
-        if different:
-            came = checks.brief(", ".join([places[0], *different]))
+        numbered = {int(key): one for key, one in self.found.items() if key.isdecimal()}
+        if number and int(number[0]) in numbered:
+            return numbered[int(number[0])]
+        first = next(iter(self.found.values()))
+        if any(other != first for other in self.found.values()):
+            came = checks.brief(", ".join(self.found))
             raise InvalidFile(f"{self.path}: expected one camera, got different ones: {came}")
         return first
 
@@ -161,16 +150,15 @@ def read_camera_file(path: str | Path) -> CameraFile:
     document = _document(path)
     try:
         if isinstance(document, Mapping):
-            found = dict(_cameras(document, "", 1))
+            found = dict(_cameras(document, (), None))
         else:
             numbers = document[0] if len(document) == 1 else document
-            found = {"": _Described(_matrix(numbers, "matrix"), np.zeros(0), ())}
+            found = {"": _Described(_matrix(numbers, "matrix"), (), ())}
         if not found:
             raise InvalidInput(f"expected a camera, {FORMS}, got neither")
     except InvalidInput as error:
         raise InvalidFile(f"{path}: {error}") from None
-    leaves = [(place.rpartition(".")[2], one) for place, one in found.items()]
-    return CameraFile(Path(path), found, {int(leaf): one for leaf, one in leaves if leaf.isdecimal()})
+    return CameraFile(Path(path), found)
 
 
 def _document(path: str | Path) -> Values | Array:
@@ -192,42 +180,23 @@ def _document(path: str | Path) -> Values | Array:
     return YamlFile(Path(path), text).values
 
 
-def _cameras(
-    values: Values, place: str, depth: int, unit: tuple[str, float] | None = None
-) -> Iterator[tuple[str, _Described]]:
-    """Yields the cameras that a mapping describes itself, else those in its parts, with their places in it.
+def _cameras(values: Values, place: tuple[str, ...], unit: Unit | None) -> Iterator[tuple[str, _Described]]:
+    """Yields the cameras that a mapping describes itself, else those in its parts, by the last key of their places.
 
     `unit`: of depth images, as a mapping around this one states it.
     """
-    named = {_plain_name(key): value for key, value in values.items()}
-    inside = f"{place}." if place else ""
-    try:
-        for key, value in values.items():
-            if _plain_name(key) in UNITS and not isinstance(value, Mapping):
-                unit = key, checks.positive(value, key)  # type: ignore[arg-type]
-        K = _intrinsics(named)
-        if K is not None:
-            _check_known(values)
-            matrix = next((key for key in values if _plain_name(key) in MATRIX), "matrix")
-            yield place, _Described(K, _lens(named), _sides(named), unit, f"{inside}{matrix}")
-            return
-    except InvalidInput as error:
-        name, colon, rest = str(error).partition(": ")
-        written = next((key for key in values if _plain_name(key) == name), name)
-        raise InvalidInput(f"{inside}{written}{colon}{rest}") from None
-    for key, part in values.items() if depth < MAX_DEPTH else ():
-        if isinstance(part, Mapping):
-            yield from _cameras(part, f"{inside}{key}", depth + 1, unit)
-
-
-def _check_known(values: Values) -> None:
-    """Raises InvalidInput for a lens under an unknown name, which would otherwise count as none."""
-    for key, value in values.items():
-        name = _plain_name(key)
-        if _numbers(value) is not None and name not in KNOWN and re.search("lens|dist", name):
-            raise InvalidInput(
-                f"{key}: expected a lens under a known name ({', '.join(LENS[:4])}), got this key"
-            )
+    named = {_plain_name(key): (".".join([*place, key]), value) for key, value in values.items()}
+    for name in UNITS:
+        key, value = named.get(name, ("", {}))
+        if not isinstance(value, Mapping):
+            unit = key.rpartition(".")[2], checks.positive(value, key)  # type: ignore[arg-type]
+    matrix, K = _intrinsics(named)
+    if K:
+        yield place[-1] if place else "", _Described(K, _lens(named), _sides(named), unit, matrix)
+        return
+    for key, part in values.items():
+        if isinstance(part, Mapping) and len(place) + 1 < MAX_DEPTH:
+            yield from _cameras(part, (*place, key), unit)
 
 
 def _plain_name(key: str) -> str:
@@ -235,87 +204,92 @@ def _plain_name(key: str) -> str:
     return re.sub("[^a-z0-9]", "", key.rpartition(".")[2].lower())
 
 
-def _intrinsics(named: Values) -> Array | None:
-    """Returns the camera matrix (3, 3) that names describe; None where they describe none."""
-    for name in MATRIX:
-        if (value := named.get(name)) is not None and (numbers := _numbers(value)) is not None:
-            return _matrix(numbers, name)
-    single = {name: _number(named, name) for name in ("fx", "fy", "cx", "cy")}
-    if single["fx"] is None and single["fy"] is None:
-        return None
-    if missing := next((name for name, value in single.items() if value is None), None):
-        raise InvalidInput(f"{missing}: expected a number, got nothing")
-    fx, fy, cx, cy = single.values()
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]], dtype=float)
+def _intrinsics(named: Named) -> tuple[str, tuple[tuple[float, ...], ...]]:
+    """Returns the camera matrix (3, 3) that names describe, and its own name; empty where they describe none."""
+    for key, numbers in _listed(named, MATRIX):
+        return key, _matrix(numbers, key)
+    single = {name: _number(named, names) for name, names in FOCAL.items()}
+    missing = [name for name, value in single.items() if value is None]
+    if {"fx", "fy"} <= {*missing}:
+        return "matrix", ()
+    if missing:
+        raise InvalidInput(f"{missing[0]}: expected a number, got nothing")
+    return "matrix", _matrix(np.array([*single.values()]), "matrix")
 
 
-def _matrix(numbers: Array, name: str) -> Array:
+def _matrix(numbers: Array, name: str) -> tuple[tuple[float, ...], ...]:
     """Returns a camera matrix (3, 3) from 3 x 3, 3 x 4 or 4 x 4 numbers, from 9, in rows or in columns (which the last
     row of a camera matrix tells), or from fx, fy, cx, cy; raises InvalidInput."""
     if numbers.shape == (4,):
-        fx, fy, cx, cy = numbers
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        fx, fy, cx, cy = numbers.tolist()
+        return (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
     if numbers.size in (9, 12, 16) and numbers.ndim <= 2:
         rows = 4 if numbers.size == 16 else 3
         square = numbers.reshape(rows, -1)
         if numbers.ndim == 1 and (square[:2, 2] == 0).all() and (square[2, :2] != 0).any():
             square = square.T  # as Open3D writes them
         if not square[:3, 3:].any():
-            return checks.finite(square[:3, :3], name, (3, 3))
+            return tuple(map(tuple, checks.finite(square[:3, :3], name, (3, 3)).tolist()))
     expected = "expected 3 x 3 or 4 x 4 numbers of a camera matrix"
     raise InvalidInput(f"{name}: {expected}, got {checks.brief(numbers)}")
 
 
-def _lens(named: Values) -> Array:
-    """Returns the coefficients of the lens (n,), none where all are 0; raises InvalidInput for another kind of lens."""
+def _lens(named: Named) -> tuple[float, ...]:
+    """Returns the coefficients of the lens (n,), none where all are 0; raises InvalidInput for another kind of lens,
+    and for one under an unknown name, which would otherwise count as none."""
+    for key, _ in _listed(named, [name for name in named if re.search("lens|dist", name)]):
+        if _plain_name(key) not in LENS:
+            expected = f"expected a lens under a known name ({', '.join(LENS[:4])})"
+            raise InvalidInput(f"{key}: {expected}, got this key")
     lens = np.zeros(0)
-    for name in LENS:
-        if (value := named.get(name)) is not None and (numbers := _numbers(value)) is not None:
-            lens = numbers.ravel()
-            if 0 < len(lens) < 4:
-                raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
-    if any(name in named for name in COEFFICIENTS):
-        lens = np.array([named.get(name, 0.0) for name in COEFFICIENTS], dtype=float)
-    if not lens.any():
-        return np.zeros(0)
-    model = next((str(named[name]) for name in MODEL if isinstance(named.get(name), str)), "")
-    if any(word in model.lower() for word in FISHEYE):
+    for key, numbers in _listed(named, LENS):
+        lens = numbers.ravel()
+        if 0 < len(lens) < 4:
+            raise InvalidInput(f"{key}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
+    if named.keys() & {*COEFFICIENTS}:
+        lens = np.array([_number(named, (name,)) or 0.0 for name in COEFFICIENTS])
+    coefficients = np.trim_zeros(lens, "b").tolist()
+    if not coefficients:
+        return ()
+    models = [value for name in MODEL for _, value in [named.get(name, ("", ""))] if isinstance(value, str)]
+    if re.search("|".join(FISHEYE), " ".join(models).lower()):
         expected = "expected plumb_bob or rational_polynomial"
-        raise InvalidInput(f"distortion_model: {expected}, got {model!r:.80}; rectify the images first")
-    count = next((n for n in (4, 5, 8) if not lens[n:].any()), len(lens))
-    return np.pad(lens[:count], (0, max(count - len(lens), 0)))
+        raise InvalidInput(f"distortion_model: {expected}, got {models}; rectify the images first")
+    count = next((n for n in (4, 5, 8) if n >= len(coefficients)), 0)
+    return (*coefficients, *[0.0] * (count - len(coefficients)))
 
 
-def _sides(named: Values) -> tuple[Size, ...]:
+def _sides(named: Named) -> tuple[Size, ...]:
     """Returns width and height that names describe; both orders of a pair, which some write with the height first."""
-    width, height = _number(named, "width"), _number(named, "height")
+    width = _number(named, WIDTH)
+    height = _number(named, HEIGHT)
     if width is not None and height is not None:
         if not (width.is_integer() and height.is_integer()):
             raise InvalidInput(f"width: expected whole numbers of pixels, got {width:g} x {height:g}")
         return ((int(width), int(height)),)
-    for name in SIZE:
-        pair = _numbers(named.get(name))
-        if pair is not None and pair.shape == (2,):
-            first, second = (int(side) for side in pair.tolist())
+    for _, pair in _listed(named, SIZE):
+        if pair.shape == (2,):
+            first, second = pair.astype(int).tolist()
             return (first, second), (second, first)
     return ()
 
 
-def _number(named: Values, name: str) -> float | None:
+def _number(named: Named, names: Iterable[str]) -> float | None:
     """Returns the number under one of the names of a quantity; raises InvalidInput where it is none."""
-    for each in NUMBERS[name]:
-        if each in named:
-            return float(checks.finite(named[each], name, ()))  # type: ignore[arg-type]
+    for name in names:
+        if name in named:
+            key, value = named[name]
+            return float(checks.finite(value, key, ()))  # type: ignore[arg-type]
     return None
 
 
-def _numbers(value: object) -> Array | None:
-    """Returns numbers in a list, in lists of them, or under `data`, as OpenCV and ROS have them; None for others."""
-    if isinstance(value, Mapping):
-        value = value.get("data")
-    if not isinstance(value, list):
-        return None
-    try:
-        return np.array(value, dtype=float)
-    except (ValueError, TypeError):
-        return None
+def _listed(named: Named, names: Iterable[str]) -> Iterator[tuple[str, Array]]:
+    """Yields what the file calls those of some names that have numbers in a list, in lists of them, or under `data`, as
+    OpenCV and ROS have them; and these."""
+    for name in names:
+        key, value = named.get(name, ("", None))
+        if isinstance(value, Mapping):
+            value = value.get("data")
+        if isinstance(value, list):
+            with contextlib.suppress(ValueError, TypeError):
+                yield key, np.array(value, dtype=float)

@@ -105,16 +105,18 @@ def _computed(model: ObjectModel) -> Appearance:
 
 def pair_table(voters: Array, diameter: float) -> NDArray[np.int32]:
     """Returns where the pairs of each cell begin, and then the pairs, of points and normals (2, n, 3)."""
-    count = voters.shape[1]
-    cells = np.empty((count, count), dtype=np.int64)
-    spins = np.empty((count, count))
-    votes.pairs_of(voters[0], voters[1], diameter, cells, spins)
-    cell, spin = cells.reshape(-1), spins.reshape(-1)
-    order = np.argsort(cell, kind="stable")
-    order = order[np.searchsorted(cell[order], 0) :]
-    starts = np.searchsorted(cell[order], np.arange(votes.CELLS + 1))
-    turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
-    return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
+    points, normals = voters
+    count = len(points)
+    cells = np.empty(count**2, dtype=np.int64)
+    spins = np.empty(count**2)
+    square = count, count
+    votes.pairs_of(points, normals, diameter, cells.reshape(square), spins.reshape(square))
+    order = np.argsort(cells, kind="stable")
+    order = order[cells[order] >= 0]
+    starts = np.searchsorted(cells[order], np.arange(votes.CELLS + 1))
+    turns = np.floor(spins[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
+    pairs = (order // count << votes.POINT_BITS) + turns
+    return np.concatenate([starts, pairs]).astype(np.int32)
 
 
 def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
@@ -126,27 +128,28 @@ def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
     angles = 2 * np.pi / 3 * np.arange(3)[:, None, None]
     reach = 1.5 * np.sqrt(surface.areas)[:, None]
     corners = surface.vertices + reach * (np.cos(angles) * across + np.sin(angles) * up)
-    return corners.swapaxes(0, 1).reshape(-1, 3), np.arange(3 * len(across)).reshape(-1, 3)
+    triangles = np.arange(3 * len(across)).reshape(3, -1).T
+    return corners.reshape(-1, 3), triangles
 
 
 def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
     """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits. The object is
     drawn from a few diameters off, which is as far as cameras are."""
-    center = model.center_object
-    away = AWAY * model.diameter
     vertices, faces = drawn_surface(model.surface)
+    points, normals = samples
     focal = PIXELS * AWAY
-    middle = 0.6 * PIXELS
-    matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
-    camera = Camera(matrix, (int(2 * middle), int(2 * middle)))
+    size = int(1.2 * PIXELS)
+    matrix = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
+    camera = Camera(matrix, (size, size))
     visible = []
     for way in directions:
         x = se3.perpendicular(way)
         R = np.stack([x, np.cross(-way, x), -way])
-        depth = camera.draw((vertices - center) @ R.T + [0, 0, away], faces).depth
-        at = (samples[0] - center) @ R.T + [0, 0, away]
-        column, row = np.rint(focal * at[:, :2] / at[:, 2:] + middle).astype(int).T
-        facing = -((samples[1] @ R.T) * at).sum(axis=1) / np.linalg.norm(at, axis=1)
+        shift = [0, 0, AWAY * model.diameter] - R @ model.center_object
+        depth = camera.draw(vertices @ R.T + shift, faces).depth
+        at = points @ R.T + shift
+        column, row = np.rint(camera.project(at)).astype(int).T
+        facing = -((normals @ R.T) * at).sum(axis=1) / np.linalg.norm(at, axis=1)
         behind = at[:, 2] - depth[row, column]
         clear = (facing > pose_score.MIN_FACING) & (behind < BEHIND * model.diameter)
         visible.append(np.packbits(clear, bitorder="little"))

@@ -283,51 +283,54 @@ class DepthTracker:
         turns = np.linalg.norm(se3.rotation_log(Ts[alike, :3, :3] @ last.T), axis=1)
         return _anew(image, Ts[alike[turns.argmin()]], LOST)
 
-    def _told_apart(self, image: _Image, track: _Track, refined: RefinedPose) -> tuple[RefinedPose, Rivals]:
-        """Returns what an image says of the pose that is followed from now on, and the rivals that are left."""
+    def _told_apart(self, image: _Image, track: _Track, refined: RefinedPose) -> RefinedPose:
+        """Weighs the rivals by an image; returns what it says of the pose that is followed from now on."""
         T = refined.pose_camera_object.T_a_b
-        rivals = self.rivals
         looks = [
             self._refined(image, replace(track, T_camera_object=T @ each), DRIFT_IN_PALM, None)
-            for each in rivals.T_object_rivals
+            for each in self.rivals.T_object_rivals
         ]
-        gains = np.array([look.odds for look in looks]) - refined.odds
+        gains = np.array([look.odds - refined.odds for look in looks])
         Ts = np.array([look.pose_camera_object.T_a_b for look in looks])
-        rivals = rivals.weighed(T, Ts, gains)
+        rivals = self.rivals.weighed(T, Ts, gains)
         winner = rivals.winner
         if winner is None:
-            return refined, rivals
-        T_winner = T @ rivals.T_object_rivals[winner]
-        won = self._refined(image, replace(track, T_camera_object=T_winner), DRIFT_IN_PALM, None)
-        return won, rivals.against(winner)
+            self.rivals = rivals.likely()
+            return refined
+        self.rivals = rivals.against(winner)
+        return looks[winner]
 
     def _followed(self, image: _Image, track: _Track, refined: RefinedPose) -> Sighting:
         """Returns what an image says of a pose that it does not contradict, from which the object is followed on."""
         enough = _is_enough(refined)
         if enough and len(self.rivals):
-            refined, self.rivals = self._told_apart(image, track, refined)
+            refined = self._told_apart(image, track, refined)
         measured = refined.pose_camera_object
-        T = measured.T_a_b
-        covariance = measured.covariance
-        last = self._track
+        reason = self.rivals.reason(self.model)
         if enough:
-            velocity = None
-            if last is not None and track.seen > -np.inf and 0 < image.stamp - last.stamp <= MAX_GAP:
-                moved = se3.difference(
-                    T @ self._T_object_center, last.T_camera_object @ self._T_object_center
-                )
-                velocity = moved / (image.stamp - last.stamp)
-            track = replace(track, T_camera_object=T, prior=FOLLOWED, seen=image.stamp, velocity=velocity)
+            velocity = None if track.seen == -np.inf else self._velocity(image.stamp, measured.T_a_b)
+            track = replace(
+                track, T_camera_object=measured.T_a_b, prior=FOLLOWED, seen=image.stamp, velocity=velocity
+            )
+            unsure = surface_shift(self.model, measured)
+            if unsure > TRACK_UNCERTAIN * self.model.diameter:
+                reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
+        else:
+            reason = HIDDEN
         self._track = track
         T = track.T_camera_object
         refined.candidate["pose"] = candidates_at(T[None])["pose"]
-        unsure = surface_shift(self.model, measured)
-        reason = "" if enough else HIDDEN
-        if enough and unsure > TRACK_UNCERTAIN * self.model.diameter:
-            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
-        reason = reason or self.rivals.reason(self.model)
         state: State = "uncertain" if reason else "tracking"
-        return Sighting(image.stamp, T, covariance, state, reason, refined.candidate)
+        return Sighting(image.stamp, T, measured.covariance, state, reason, refined.candidate)
+
+    def _velocity(self, stamp: float, T_camera_object: Array) -> Array | None:
+        """Returns the velocity (6,) of the object's centre since the last image; None: not known."""
+        last = self._track
+        if last is None or not 0 < stamp - last.stamp <= MAX_GAP:
+            return None
+        center = self._T_object_center
+        moved = se3.difference(T_camera_object @ center, last.T_camera_object @ center)
+        return np.asarray(moved / (stamp - last.stamp))
 
 
 def _anew(image: _Image, T_camera_object: Array, prior: float) -> _Track:

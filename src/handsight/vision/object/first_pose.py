@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import se3
 from handsight._kernels.image import depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import (
@@ -87,10 +87,8 @@ class ObjectDetection:
     @classmethod
     def nowhere(cls, reason: str, probability: float = 0.0) -> Self:
         """Returns a detection without poses, with the probability of the likeliest that was rejected."""
-        none = np.zeros(0)
-        T = np.zeros((0, 4, 4))
-        covariance = np.zeros((0, 6, 6))
-        return cls(T, covariance, none, np.zeros(0, dtype=CANDIDATE), probability, reason)
+        none = np.zeros(0, dtype=CANDIDATE)
+        return cls(poses_of(none), np.zeros((0, 6, 6)), np.zeros(0), none, probability, reason)
 
 
 def first_pose(
@@ -115,15 +113,7 @@ def first_pose(
     camera = scene.camera
     image = camera.rays, scene.depth, scene.labels
     observed = observed_points(scene, FIRST_SPACING * D, MAX_POINTS)
-    # The points that vote are spread over the segments by the roots of their sizes: a big one must not take all.
-    has = (observed["normal"] != 0).any(axis=1)
-    counts = np.bincount(observed["part"][has], minlength=len(scene.sizes))
-    share = np.sqrt(counts)
-    chosen = [np.empty(0, dtype=np.int64)]
-    for part in np.flatnonzero(counts >= MIN_PIXELS):
-        number = max(MIN_REFERENCES, round(FIRST_REFERENCES * share[part] / share.sum()))
-        chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
-    references = np.concatenate(chosen)
+    references = spread_references(scene, observed)
     voted = np.zeros((len(references), votes.PEAKS), dtype=CANDIDATE)
     votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_PARTNERS, voted)
     found = voted.reshape(-1)
@@ -132,10 +122,9 @@ def first_pose(
     def refine(candidates: Candidates, stage: int, effort: int) -> None:
         """Moves candidates as one stage does, with as many points and pixels as another one takes."""
         candidates["bound"] = explained_within(noise, center_depths(model, candidates))
-        now = STAGES[stage]
         points = observed[: round(POINTS[effort] * len(observed))]
-        record = model.record[:2]
-        depth_term.refine_poses(*record, points, np.atleast_1d(now), D, NOTHING_KNOWN, candidates)
+        stages = STAGES[[stage]]
+        depth_term.refine_poses(*model.record[:2], points, stages, D, NOTHING_KNOWN, candidates)
         score_candidates(model, scene, candidates, effort=effort)
 
     for stage, kept in enumerate(KEPT):
@@ -160,7 +149,7 @@ def first_pose(
         found = distinct(model, found, found["score"], len(found), CANDIDATE_SPACING)
     outline.cross_outlines(camera.record, model.record[:2], image, found)
     found = found[np.argsort(-log_odds(found), kind="stable")]
-    covariances = pose_covariances(model, camera, observed, found, noise)
+    covariances = pose_covariances(model, camera, observed, found, noise)  # fills in their weights
     places = places_of(model, found)
     support = mode_support(found, scene.sizes.sum() / max(len(observed), 1))
     best, most = np.full((2, places.max(initial=-1) + 1), -np.inf)
@@ -168,13 +157,27 @@ def first_pose(
     np.maximum.at(most, places, support)
     log_weights = best[places] + support - most[places]
     order = np.argsort(-log_weights, kind="stable")
-    found, covariances = found[order], covariances[order]
+    found = found[order]
     weights = np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     weights /= max(weights.sum(), 1.0)
+    covariances = covariances[order]
     covariances += spread_of_modes(model, poses_of(found), weights, places[order])
     # Of several places all may be right: objects may be equal.
     probability = float(probabilities(best[:1]).sum())
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
+
+
+def spread_references(scene: Scene, observed: NDArray[np.void]) -> Indices:
+    """Returns the numbers (k,) of the DEPTH_POINT (n,) that vote. They are spread over the segments by the roots of
+    their sizes: a big one must not take all."""
+    has = (observed["normal"] != 0).any(axis=1)
+    counts = np.bincount(observed["part"][has], minlength=len(scene.sizes))
+    share = np.sqrt(counts)
+    chosen = [np.empty(0, dtype=np.int64)]
+    for part in np.flatnonzero(counts >= MIN_PIXELS):
+        number = max(MIN_REFERENCES, round(FIRST_REFERENCES * share[part] / share.sum()))
+        chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
+    return np.concatenate(chosen)
 
 
 def slid(
@@ -232,7 +235,7 @@ def log_odds(candidates: Candidates) -> Array:
 
 def probabilities(odds: Array) -> Array:
     """Returns the probabilities (n,) of answers with log odds (n,) against none of them; the rest to 1 is none's."""
-    most = max(float(odds.max(initial=0.0)), 0.0)
+    most = odds.max(initial=0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))
 

@@ -70,21 +70,25 @@ def locate(
     metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
     wanted = search_mask(camera, box, mask)
-    extent = MAX_PLANE * model.diameter
     prior = region_log_odds(model, camera, depth, wanted) if score is None else score_log_odds(score)
-    given = None if start is None else _checked_starts(start)
+    given = [] if start is None else _checked_starts(start)
+    extent = MAX_PLANE * model.diameter
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
-    if not len(scene.sizes):
-        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene))
-    refined = None if given is None else _refined(model, scene, given, noise)
-    found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
-    if found.probability >= MIN_PROBABILITY:
-        return found
-    name = model.name or "the object"
-    doubt = f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
-    reason = doubt if len(found.candidates) else "no surface there is large enough to tell its shape"
-    reason += _too_near(model, scene)
-    return ObjectDetection.nowhere(reason, found.probability)
+    found = ObjectDetection.nowhere(scene.reason)
+    if len(scene.sizes):
+        refined = _refined(model, scene, given, noise) if given else None
+        found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
+        if found.probability >= MIN_PROBABILITY:
+            return found
+    reason = found.reason or "no surface there is large enough to tell its shape"
+    if len(found.candidates):
+        reason = doubt(model.name or "the object", found.probability)
+    return ObjectDetection.nowhere(reason + _too_near(model, scene), found.probability)
+
+
+def doubt(name: str, probability: float) -> str:
+    """Returns why an object counts as not found, by the probability of its likeliest pose."""
+    return f"the likeliest pose of {name} is right with a probability of {probability:.2f} only"
 
 
 def _too_near(model: ObjectModel, scene: Scene) -> str:
@@ -189,40 +193,58 @@ def recognise(
     Each is searched in the same segments of the image. found: what `locate` answers of each in the boxes of a detector
     or from the poses of an estimator, in place of a search. Raises InvalidInput as `locate` does, and for no models.
     """
-    if not models:
-        raise InvalidInput("models: expected at least one, got none")
-    largest = max(model.diameter for model in models.values())
-    wanted = search_mask(camera, box, mask)
-    extent = MAX_PLANE * largest
-    scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
+    scene = scene_of_any(models, depth, camera, box=box, mask=mask, hand=hand, table=table)
     found = found or {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
     # Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds
     # are of shares of each object's own. None of them is there as probably as the likeliest is not.
     detected = [name for name, one in found.items() if len(one.candidates)]
-    wanted = scene.labels >= 0
-    step = max(1, round(np.sqrt(wanted.sum() / LOCATE_COMPARED)))
-    inside = wanted[::step, ::step]
-    points = scene.camera.points(scene.depth)[::step, ::step][inside].astype(np.float64)
-    pixels = dict[str, Array]()
+    inside = scene.labels >= 0
+    step = max(1, round(np.sqrt(inside.sum() / LOCATE_COMPARED)))
+    few = inside[::step, ::step]
+    points = scene.camera.points(scene.depth)[::step, ::step][few].astype(np.float64)
+    pixels = list[Array]()
     explained = np.zeros(len(points))
     for name in detected:
         modes = found[name].candidates
-        bound = found[name].candidates["bound"][:, None]
-        each = np.maximum(1 - (surface_distances(models[name], points, bound.max(), modes) / bound) ** 2, 0)
-        pixels[name] = step**2 * each.sum(axis=1)
+        bound = modes["bound"][:, None]
+        distances = surface_distances(models[name], points, bound.max(), modes)
+        each = np.maximum(1 - (distances / bound) ** 2, 0)
+        pixels.append(step**2 * each.sum(axis=1))
         explained = np.maximum(explained, each.max(axis=0))
     size = LOCATE_SUPPORT[0] + LOCATE_SUPPORT[1] * step**2 * explained.sum()
     support = logit([found[name].probability for name in detected])
-    support += [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
+    for k, name in enumerate(detected):
+        support[k] += (log_odds(found[name].candidates) + pixels[k] / size).max()
     weights = np.exp(support - support.max(initial=-np.inf))
     some = found[detected[int(weights.argmax())]].probability if detected else 0.0
     shares = some * weights / max(weights.sum(), 1.0)
     scores = dict.fromkeys(found, 0.0) | dict(zip(detected, shares.tolist(), strict=True))
-    order = sorted(scores, key=lambda name: -scores[name])
-    best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
-    reason = f"nothing there looks like one of them; {best}" if len(scene.sizes) else scene.reason
-    why = reason if 1 - some >= scores[order[0]] else None
-    return Recognition({n: scores[n] for n in order}, 1 - some, {n: found[n] for n in order}, why)
+    scores = dict(sorted(scores.items(), key=lambda item: -item[1]))
+    likeliest = next(iter(scores))
+    reason = None
+    if 1 - some >= scores[likeliest]:
+        best = f"{likeliest} is the likeliest, with a probability of {scores[likeliest]:.2f}"
+        reason = f"nothing there looks like one of them; {best}" if len(scene.sizes) else scene.reason
+    return Recognition(scores, 1 - some, {name: found[name] for name in scores}, reason)
+
+
+def scene_of_any(
+    models: Mapping[str, ObjectModel],
+    depth: Depth,
+    camera: Camera,
+    *,
+    box: Box | None,
+    mask: Mask | None,
+    hand: Mask | None,
+    table: Array | None,
+) -> Scene:
+    """Returns the segments of an image in which several objects are looked for; raises InvalidInput, also for no
+    models."""
+    if not models:
+        raise InvalidInput("models: expected at least one, got none")
+    extent = MAX_PLANE * max(model.diameter for model in models.values())
+    wanted = search_mask(camera, box, mask)
+    return scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
 
 
 def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:
@@ -239,16 +261,17 @@ def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | No
     if box is None:
         return mask
     corners = checks.finite(box, "box", (4,))
-    if (corners[2:] < corners[:2]).any():
+    first, last = corners.reshape(2, 2)
+    if (last < first).any():
         expected = "expected u0,v0,u1,v1 with u0 <= u1 and v0 <= v1"
         raise InvalidInput(f"box: {expected}, got {checks.brief(corners)} (u0, v0, width, height?)")
-    last = np.array(camera.size) - 1
-    if (corners[:2] > last).any() or (corners[2:] < 0).any():
-        expected = f"expected u0,v0,u1,v1 that meets the image, 0,0 to {last[0]},{last[1]}"
+    width, height = camera.size
+    if (first > np.subtract(camera.size, 1)).any() or (last < 0).any():
+        expected = f"expected u0,v0,u1,v1 that meets the image, 0,0 to {width - 1},{height - 1}"
         raise InvalidInput(f"box: {expected}, got {checks.brief(corners)}")
-    left, top = np.floor(corners[:2]).clip(0).astype(int)
-    right, bottom = np.minimum(np.ceil(corners[2:]), last).astype(int)
-    inside = np.zeros(camera.size[::-1], dtype=bool)
+    left, top = np.floor(first).clip(0).astype(int)
+    right, bottom = np.ceil(last).clip(None, 1e9).astype(int)
+    inside = np.zeros((height, width), dtype=bool)
     inside[top : bottom + 1, left : right + 1] = True
     return inside if mask is None else inside & mask
 
@@ -273,7 +296,9 @@ def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Ma
     They are those of a detector's score of `LOCATE_UNSCORED` if the pixels are about as many as the object's,
     because then somebody saw it there, and 0 for a wider region.
     """
-    inside = depth[wanted > 0] if wanted is not None and wanted.shape == depth.shape else depth[:0]
+    if wanted is None or wanted.shape != depth.shape:
+        return 0.0
+    inside = depth[wanted > 0]
     known = inside[inside > 0]
     if not len(known):
         return 0.0
@@ -287,10 +312,11 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
     poses = list[GaussianPose]()
     if isinstance(given, Sequence) and any(isinstance(each, GaussianPose) for each in given):
         for k, each in enumerate(given):
+            place = f"start[{k}]"
             if not isinstance(each, GaussianPose):
                 came = type(each).__name__
-                raise InvalidInput(f"start[{k}]: expected a GaussianPose as the others are, got {came}")
-            poses.append(GaussianPose.checked(each.T_a_b, each.covariance, f"start[{k}]"))
+                raise InvalidInput(f"{place}: expected a GaussianPose as the others are, got {came}")
+            poses.append(GaussianPose.checked(each.T_a_b, each.covariance, place))
     else:
         alone = checks.ndim(given) != 3
         Ts = checks.finite(cast(ArrayLike, given), "start", (4, 4) if alone else (None, 4, 4))

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handsight import checks, se3
+from handsight import checks
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import poses_of, surface_distances
+from handsight.vision.candidates import center_depths, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
-from handsight.vision.object.locate import MAX_PLANE, MIN_PROBABILITY, Box, search_mask
-from handsight.vision.object.region import Scene, scene_of
+from handsight.vision.object.locate import MIN_PROBABILITY, Box, doubt, scene_of_any
+from handsight.vision.object.region import Scene
 
 MAX_INSTANCES = 10_000
 """Most instances of one object in an image."""
@@ -70,12 +70,10 @@ def locate_all(
     counts of other objects.
     """
     limits = _checked_counts(models, counts)
-    extent = MAX_PLANE * max(model.diameter for model in models.values())
-    wanted = search_mask(camera, box, mask)
-    scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
+    scene = scene_of_any(models, depth, camera, box=box, mask=mask, hand=hand, table=table)
     if not len(scene.sizes):
         return SceneDetection((), dict.fromkeys(models, scene.reason))
-    given = dict(found or {})
+    given = found or {}
     names = sorted(models)  # so that the order in which models are given changes nothing
     places = [(name, one) for name in names for one in given.get(name, ())]
     instances = list[ObjectInstance]()
@@ -110,7 +108,7 @@ def _why(name: str, probability: float) -> str:
     """Returns why an object is missing, by the probability of its likeliest pose."""
     if probability >= MIN_PROBABILITY:
         return f"other objects explain the image where {name} would be"
-    return f"the likeliest pose of {name} is right with a probability of {probability:.2f} only"
+    return doubt(name, probability)
 
 
 def is_visible(instance: ObjectInstance) -> bool:
@@ -127,22 +125,16 @@ def explained(model: ObjectModel, scene: Scene, detection: ObjectDetection) -> M
     if not len(candidate):
         return np.zeros(scene.depth.shape, dtype=bool)
     bound = float(candidate["bound"][0])
-    center = se3.apply(poses_of(candidate)[0], model.center_object[None])[0]
-    reach = model.radius + bound
-    inside = (scene.labels >= 0) & (np.abs(scene.depth - center[2]) < reach)
+    z = center_depths(model, candidate)
+    inside = (scene.labels >= 0) & (np.abs(scene.depth - z) < model.radius + bound)
     depth = scene.depth[inside].astype(np.float64)
     points = np.c_[scene.camera.rays[inside] * depth[:, None], depth]
-    near = np.linalg.norm(points - center, axis=1) < reach
-    distances = surface_distances(model, points[near], bound, candidate)[0]
-    inside[inside] = near
-    inside[inside] = distances < bound
+    inside[inside] = surface_distances(model, points, bound, candidate)[0] < bound
     return np.asarray(inside)
 
 
 def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int] | None) -> dict[str, int]:
     """Returns the most instances of each model whose number is given; raises InvalidInput."""
-    if not models:
-        raise InvalidInput("models: expected at least one, got none")
     if not isinstance(counts or {}, Mapping):
         raise InvalidInput(f"counts: expected a number by name, got {type(counts).__name__}")
     limits = dict[str, int]()

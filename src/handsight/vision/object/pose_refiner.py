@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_image, depth_term, outline, pinhole, pose_score
+from handsight._kernels.image import depth_image, depth_term, outline, pose_score
 from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
@@ -83,36 +83,20 @@ class PoseRefiner:
         it holds directions that hardly any point observes. T_at_rest (4, 4): the pose is only refined on points that
         the expected one explains, unless the image supports this one better; None: it is searched more widely.
         """
-        part = self._part(T_expected, depth, hand, table)
-        if T_at_rest is None:
-            wide = REFINER_WITHIN * self.model.diameter
-            return self._moved(part, T_expected, known, wide, STAGES, None)
-        z = center_depths(self.model, candidates_at(T_expected[None]))
-        near = 2 * float(explained_within(self.noise, z)[0])
-        return self._moved(part, T_expected, known, near, NEAR_STAGES, T_at_rest)
-
-    def _moved(
-        self,
-        part: _Part,
-        T_expected: Array,
-        known: Array,
-        within: float,
-        stages: NDArray[np.void],
-        other: Array | None,
-    ) -> RefinedPose:
-        """Returns the expected pose, moved to the points of the image within so far of it [m], or the other pose (4, 4)
-        if the image supports that better."""
-        candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
+        candidates = candidates_at(np.stack([T_expected] if T_at_rest is None else [T_expected, T_at_rest]))
         candidate = candidates[:1]
+        z = center_depths(self.model, candidates)
+        bounds = explained_within(self.noise, z)
+        candidates["bound"] = bounds
+        part = self._part(T_expected, depth, hand, table)
+        image, window = part
+        window["within"] = REFINER_WITHIN * self.model.diameter if T_at_rest is None else 2 * bounds[0]
         camera = self.camera.record
         record = self.model.record[:2]
-        image, window = part
         points = np.zeros(MAX_POINTS, dtype=DEPTH_POINT)
-        window["within"] = within
         points = points[: depth_image.near_points(record, image, window, candidate, points)]
-        z = center_depths(self.model, candidates)
-        candidates["bound"] = explained_within(self.noise, z)
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
+        stages = STAGES if T_at_rest is None else NEAR_STAGES
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides = appearance_of(self.model).sides
         center = self.model.center_object
@@ -151,15 +135,12 @@ class PoseRefiner:
     def _part(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> _Part:
         """Returns the box of an image around the object's silhouette at a pose."""
         points = se3.apply(T, self.model.points_object)
-        pixels = np.empty((len(points), 2))
-        pinhole.pixels_of(self.camera.record, points, pixels)
-        low, high = np.fmin.reduce(pixels), np.fmax.reduce(pixels)
-        left = top = right = bottom = 0
-        if not np.isnan(low[0]):  # NaN where it is out of the image
-            nearest = max(points[:, 2].min(), REFINER_MARGIN)
-            margin = 1 + REFINER_MARGIN * self.model.diameter * self.camera.matrix[0, 0] / nearest
-            ends = np.stack([low - margin, high + margin + 1]).clip(0, self.camera.size)
-            (left, top), (right, bottom) = ends.astype(int).tolist()
+        pixels = self.camera.project(points)
+        nearest = max(points[:, 2].min(), REFINER_MARGIN)
+        margin = 1 + REFINER_MARGIN * self.model.diameter * self.camera.matrix[0, 0] / nearest
+        ends = np.stack([np.fmin.reduce(pixels) - margin, np.fmax.reduce(pixels) + margin + 1])
+        ends = np.nan_to_num(ends).clip(0, self.camera.size)  # NaN where it is out of the image
+        (left, top), (right, bottom) = ends.astype(int).tolist()
         box = slice(top, bottom), slice(left, right)
         shown = depth[box]
         known: Depth = np.zeros(depth.shape, dtype=np.float32)

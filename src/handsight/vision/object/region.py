@@ -1,6 +1,6 @@
 """Where in a depth image an object may be: its wanted pixels without hand and table, in connected segments."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,17 @@ class Scene:
     def without(self, excluded: Mask) -> "Scene":
         """Returns the scene with some pixels (h, w) excluded as the hand's are: what is behind them is hidden by them.
         What is left is divided into segments again."""
-        labels = np.where(self.labels >= 0, np.int32(depth_image.OPEN), self.labels)
-        labels[excluded & (self.labels >= 0)] = HAND
-        sizes = np.empty(labels.size // MIN_SEGMENT + 1)
-        count = depth_image.label_parts(self.depth, labels, MIN_SEGMENT, sizes)
-        return replace(self, labels=labels, sizes=sizes[:count].copy())
+        inside = self.labels >= 0
+        labels = np.where(inside, np.int32(depth_image.OPEN), self.labels)
+        labels[excluded & inside] = HAND
+        return _divided(self.camera, self.depth, labels)
+
+
+def _divided(camera: Camera, depth: Depth, labels: NDArray[np.int32]) -> Scene:
+    """Returns the scene whose `OPEN` labels are divided into segments, which are written to them."""
+    sizes = np.empty(labels.size // MIN_SEGMENT + 1)
+    count = depth_image.label_parts(depth, labels, MIN_SEGMENT, sizes)
+    return Scene(camera, depth, labels, sizes[:count].copy())
 
 
 def scene_of(
@@ -61,21 +67,21 @@ def scene_of(
     InvalidInput for images of another size than the camera's, and for depth that is not in metres.
     """
     depth = camera.check_depth(depth)
-    for name, mask in (("wanted", wanted), ("hand", hand)):
+    check_metres(depth)
+    where = np.ones(depth.shape, dtype=bool)
+    covered = np.zeros(depth.shape, dtype=bool)
+    for name, mask, pixels in (("wanted", wanted, where), ("hand", hand, covered)):
         if mask is not None:
             camera.check_size(mask, name)
-    check_metres(depth)
-    where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)
-    covered = np.zeros(depth.shape, dtype=bool) if hand is None else np.asarray(hand, dtype=bool)
+            pixels[:] = mask
     if table is None and extent < np.inf:
         table = table_plane(camera, depth, ~covered, extent=extent)
     plane = np.array([0, 0, 0, np.inf]) if table is None else checks.finite(table, "table", (4,))
-    filled, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
-    image = tuple(map(np.ascontiguousarray, (depth, where, covered)))
+    filled = np.empty(depth.shape, dtype=np.float32)
+    labels = np.empty(depth.shape, dtype=np.int32)
+    image = np.ascontiguousarray(depth), where, covered
     depth_image.sort_pixels(camera.rays, image, np.append(plane, TABLE_WITHIN), filled, labels)
-    sizes = np.empty(labels.size // MIN_SEGMENT + 1)
-    count = depth_image.label_parts(filled, labels, MIN_SEGMENT, sizes)
-    return Scene(camera, filled, labels, sizes[:count].copy())
+    return _divided(camera, filled, labels)
 
 
 def check_metres(depth: Depth) -> None:

@@ -4,7 +4,7 @@ All images weigh them, until one has won: one image alone would often choose the
 refine that. Images from one side share their errors, so together they weigh as their mean.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,15 +25,15 @@ ONE_VIEW = float(np.deg2rad(15))
 class Rivals:
     """Other poses of a followed object, each with its log odds against the followed one."""
 
-    T_object_rivals: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    T_object_rivals: Array
     """(k, 4, 4) the rivals, in the frame of the object at the followed pose."""
-    earlier: Array = field(default_factory=lambda: np.zeros(0))
+    earlier: Array
     """(k,) the log odds by images from other sides."""
-    here: Array = field(default_factory=lambda: np.zeros(0))
+    here: Array
     """(k,) their mean over the images from this side."""
-    images: int = 0
+    images: int
     """How many these are."""
-    R_camera_object: Array = field(default_factory=lambda: np.eye(3))
+    R_camera_object: Array
     """(3, 3) the followed pose's rotation in the first of them."""
 
     @classmethod
@@ -46,7 +46,7 @@ class Rivals:
         others[followed] = False
         Ts = se3.inverse(T) @ found.Ts_camera_object[others]
         log_odds = np.log(np.maximum(found.weights[others], 1e-300) / found.weights[followed])
-        return cls(Ts, np.zeros(len(Ts)), log_odds, 1, T[:3, :3])._only_likely()
+        return cls(Ts, np.zeros(len(Ts)), log_odds, 1, T[:3, :3]).likely()
 
     @property
     def log_odds(self) -> Array:
@@ -59,18 +59,15 @@ class Rivals:
 
     def weighed(self, T_camera_object: Array, Ts_camera_rivals: Array, gains: Array) -> "Rivals":
         """Returns the rivals after an image that shows the followed pose (4, 4) and each of them (k, 4, 4), in which
-        their log odds are `gains` (k,); those that have lost are left out."""
+        their log odds are `gains` (k,)."""
         R_camera_object = T_camera_object[:3, :3]
         turn = np.linalg.norm(se3.rotation_log(R_camera_object @ self.R_camera_object.T))
-        if turn > ONE_VIEW:
-            other = replace(
-                self, earlier=self.log_odds, here=gains, images=1, R_camera_object=R_camera_object
-            )
-        else:
-            images = self.images + 1
-            other = replace(self, here=self.here + (gains - self.here) / images, images=images)
         Ts = se3.inverse(T_camera_object) @ Ts_camera_rivals
-        return replace(other, T_object_rivals=Ts)._only_likely()
+        if turn > ONE_VIEW:
+            return Rivals(Ts, self.log_odds, gains, 1, R_camera_object)
+        images = self.images + 1
+        mean = self.here + (gains - self.here) / images
+        return replace(self, T_object_rivals=Ts, here=mean, images=images)
 
     @property
     def winner(self) -> int | None:
@@ -86,19 +83,17 @@ class Rivals:
         Ts = se3.inverse(T_rival) @ self.T_object_rivals[others]
         R = self.R_camera_object @ T_rival[:3, :3]
         earlier = self.earlier[others] - self.earlier[number]
-        return Rivals(Ts, earlier, self.here[others] - self.here[number], self.images, R)._only_likely()
+        return Rivals(Ts, earlier, self.here[others] - self.here[number], self.images, R).likely()
 
     def reason(self, model: ObjectModel) -> str:
         """Returns how far the rivals are from the followed pose, for a person; empty where there are none."""
         return apart(model, self.T_object_rivals, np.eye(4), "images")
 
-    def _only_likely(self) -> "Rivals":
+    def likely(self) -> "Rivals":
         """Returns those that have not lost."""
         kept = self.log_odds >= np.log(LEAST_WEIGHT)
-        if kept.all():
-            return self
         Ts = self.T_object_rivals[kept]
         return replace(self, T_object_rivals=Ts, earlier=self.earlier[kept], here=self.here[kept])
 
 
-NO_RIVALS = Rivals()
+NO_RIVALS = Rivals(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0), 0, np.eye(3))

@@ -16,6 +16,7 @@ from handsight.hand import Hand
 from handsight.hand.chains import Chains, transform_points
 from handsight.hand.surface import sample_by_area
 from handsight.objects import Triangles
+from handsight.vision.reconstruction.volume import means_by_cell
 
 APPEARANCE_POINTS = 1200  # by which a hand is aligned with an image
 MERGE_DISTANCE = 0.005  # side of the cells in which vertices are merged to draw the hand [m]
@@ -47,15 +48,13 @@ class HandAppearance:
         skin = points[order], normals[order], body[order]
         # The coarse hand: the vertices of a link in one cell are merged to their mean.
         cells = np.c_[shape.body_of, np.floor(shape.vertices_body / MERGE_DISTANCE)]
-        _, where = np.unique(cells, axis=0, return_inverse=True)
-        where = where.reshape(-1)
-        middles = [np.bincount(where, column) / np.bincount(where) for column in shape.vertices_body.T]
-        body = np.zeros(len(middles[0]), dtype=np.int64)
+        where, middles = means_by_cell(cells, shape.vertices_body)
+        body = np.zeros(len(middles), dtype=np.int64)
         body[where] = shape.body_of
         faces = where[shape.faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-        coarse = np.stack(middles, axis=1), body, faces[first].astype(np.int64)
+        coarse = middles, body, faces[first].astype(np.int64)
         return cls(shape.chains, skin, coarse, area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: ArrayLike = 0.0) -> "PlacedHand":
@@ -90,6 +89,10 @@ class PlacedHand:
         """The largest distance of a point from the middle [m]."""
         return float(np.linalg.norm(self.skin[0] - self.middle, axis=1).max())
 
+    def middle_at(self, T_a_palm: Array) -> Array:
+        """Returns the middle (..., 3) [m] at poses (..., 4, 4)."""
+        return se3.apply(T_a_palm, self.middle[None])[..., 0, :]
+
     def by_joints(self, rows: Indices) -> Array:
         """Returns how far (k, 3, m) each of the joints' errors moves the points `rows` (k,) in the palm [m]."""
         bodies = self.appearance.skin[2][rows]
@@ -105,27 +108,26 @@ class PlacedHand:
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
         near = scipy.ndimage.minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
-        rows, columns = (PIXEL_STRIDE * k + PIXEL_STRIDE // 2 for k in np.nonzero(around))
-        inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
-        observed = depth[rows[inside], columns[inside]]
-        hand = near[around][inside]
-        counts = (observed > 0) & (observed > hand - CONTINUED_DEPTH)
-        return float((observed[counts] < hand[counts] + CONTINUED_DEPTH).mean()) if counts.any() else 1.0
+        middle = PIXEL_STRIDE // 2
+        observed = np.zeros_like(drawn)
+        seen = depth[middle::PIXEL_STRIDE, middle::PIXEL_STRIDE]
+        observed[: seen.shape[0], : seen.shape[1]] = seen
+        counts = around & (observed > 0) & (observed > near - CONTINUED_DEPTH)
+        continued = observed[counts] < near[counts] + CONTINUED_DEPTH
+        return float(continued.mean()) if len(continued) else 1.0
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
         """Returns at most `most` points (k, 3) in the air, in the palm, off the hand's outline, as near as it [m]."""
         small = _smaller(camera)
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
-        distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE_BESIDE)
+        distance = max(self.middle_at(T_camera_palm)[2], APPEARANCE_BESIDE)
         off = max(round(APPEARANCE_BESIDE * small.matrix[0, 0] / distance), 1)
         near, nearer = (scipy.ndimage.minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
-        rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
-        chosen = np.random.default_rng(0).permutation(len(rows))[:most]
-        rows = rows[chosen]
-        columns = columns[chosen]
-        z = near[rows, columns].astype(np.float64)
-        points = np.c_[small.rays[rows, columns] * z[:, None], z]
-        return se3.apply(se3.inverse(T_camera_palm), points)
+        beside = np.isfinite(near) & ~np.isfinite(nearer)
+        z = near[beside].astype(np.float64)
+        points = np.c_[small.rays[beside] * z[:, None], z]
+        chosen = np.random.default_rng(0).permutation(len(points))[:most]
+        return se3.apply(se3.inverse(T_camera_palm), points[chosen])
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
         """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face it."""
@@ -135,12 +137,13 @@ class PlacedHand:
         normals = self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
         facing = -np.einsum("mi,mi->m", points, normals) > MIN_FACING * way
-        pixels = small.project(points)
-        columns, rows = np.round(np.where(np.isfinite(pixels), pixels, -1)).astype(np.int64).T
-        inside = (columns >= 0) & (rows >= 0) & (columns < small.size[0]) & (rows < small.size[1])
-        front = drawn[np.where(inside, rows, 0), np.where(inside, columns, 0)]
+        pixels = np.round(np.nan_to_num(small.project(points), nan=-1, posinf=-1, neginf=-1)).astype(np.int64)
+        inside = ((pixels >= 0) & (pixels < small.size)).all(axis=1)
+        columns, rows = pixels[inside].T
+        front = np.full(len(points), np.inf)
+        front[inside] = drawn[rows, columns]
         slack = MAX_DEPTH + points[:, 2] / (2 * small.matrix[0, 0])
-        return np.asarray(facing & (~inside | (points[:, 2] < front + slack)))
+        return np.asarray(facing & (points[:, 2] < front + slack))
 
 
 def skin_points(hand: Hand, count: int) -> tuple[Array, Array, Indices]:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._kernels.image import depth_covariance, hand_term, palm_scan
-from handsight._kernels.image.vision_records import CANDIDATE, STAGE
+from handsight._kernels.image.hand_term import HAND_SCORE
+from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
-from handsight.checks import Array, Indices, Mask
+from handsight.checks import Array, Indices
 from handsight.gaussian_pose import GaussianPose
 from handsight.vision.candidates import Candidates, candidates_at, depth_errors, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
@@ -118,18 +119,15 @@ def detect_palm(
     T_camera_palm: as predicted, with sigmas `sigma_position` [m] of the hand's middle and `sigma_rotation` [rad] per
     axis; the time of the search grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
     """
-    sigmas = (
-        checks.positive(sigma_position, "sigma_position"),
-        checks.positive(sigma_rotation, "sigma_rotation"),
-    )
-    picture = picture_of(camera, depth, hand, T_camera_palm, sigmas)
+    checks.positive(sigma_position, "sigma_position")
+    checks.positive(sigma_rotation, "sigma_rotation")
+    picture = picture_of(camera, depth, hand, T_camera_palm, (sigma_position, sigma_rotation))
     if picture is None:
         return PalmNotFound("outside")
-    visible = hand.visible_from(camera, picture.T)
-    candidates = searched(picture, visible)
+    rows = np.flatnonzero(hand.visible_from(camera, picture.T))
+    candidates = searched(picture, rows)
     if not len(candidates):
         return PalmNotFound("outside")
-    rows = np.flatnonzero(visible)
     for stage in DETECTOR_STAGES:
         _align(picture, rows, stage, candidates)
         candidates = _believed(picture, candidates, SEARCH_FACTOR * DETECTOR_MAX_SIGMAS)
@@ -178,12 +176,15 @@ class Picture:
 
     @property
     def arrays(self) -> tuple[Depth, NDArray[np.float32], NDArray[np.float32], Array]:
+        """Depth, rays, cells and corner."""
         return self.depth, self.camera.rays, self.cells, self.corner
 
-    def differences(self, middles: Array, rotations: Array) -> tuple[Array, Array]:
-        """Returns how far middles (..., 3) [m] and rotations (..., 3, 3) [rad] of the hand are off the prediction."""
-        off = middles - se3.apply(self.T, self.hand.middle[None])[0]
-        return off, se3.rotation_log(rotations @ self.T[:3, :3].T)
+    def sigmas_off(self, middles: Array, rotations: Array) -> tuple[Array, Array]:
+        """Returns how far middles (..., 3) and rotations (..., 3, 3) of the hand are off the prediction [sigmas]."""
+        shift = middles - self.hand.middle_at(self.T)
+        turn = se3.rotation_log(rotations @ self.T[:3, :3].T)
+        shifts, turns = (np.linalg.norm(off, axis=-1) for off in (shift, turn))
+        return shifts / self.sigmas[0], turns / self.sigmas[1]
 
 
 def picture_of(
@@ -193,14 +194,13 @@ def picture_of(
     InvalidInput."""
     T = se3.check(T, "T_camera_palm")
     camera.check_size(depth, "depth")
-    middle = se3.apply(T, hand.middle[None])[0]
+    middle = hand.middle_at(T)
     reach = MAX_SIGMAS * sigmas[0] + hand.radius
     if not middle[2] > -reach:
         return None
-    known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    known = np.where((depth > 0) & (depth < np.inf), depth, 0).astype(np.float32)
     far = max(middle[2], 0.1)
-    nearest = max(middle[2] - reach, 0.1)
-    half = reach / max(nearest, 0.5 * far)
+    half = reach / max(middle[2] - reach, 0.5 * far, 0.1)
     count = min(int(2 * half / (SEARCH_CELL / far)) + 1, MAX_CELLS)
     corner = np.array([middle[0] / far - half, middle[1] / far - half, 2 * half / count])
     cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
@@ -208,11 +208,10 @@ def picture_of(
     return Picture(hand, T, sigmas, camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
 
 
-def searched(picture: Picture, visible: Mask) -> Candidates:
+def searched(picture: Picture, rows: Indices) -> Candidates:
     """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the sigmas, and around
-    them. visible (m,): which points of the hand the camera sees at the predicted pose."""
+    them. rows (m,): the points of the hand that the camera sees at the predicted pose."""
     hand = picture.hand
-    rows = np.flatnonzero(visible)
     air = hand.beside(picture.camera, picture.T, SEARCH_SCANNED)
     points = _about_middle(hand, rows[:SEARCH_SCANNED], air[: SEARCH_SCANNED // 2])
     turns = _turns(MAX_SIGMAS * picture.sigmas[1], SEARCH_ROTATION)
@@ -242,44 +241,42 @@ def _best(
     that are `bin_width` [m] apart.
     """
     rotations = turns @ T[:3, :3]
-    middles = se3.apply(T, picture.hand.middle[None])[0] + shifts
+    middles = picture.hand.middle_at(T) + shifts
     found = np.empty((len(rotations), len(middles), 2))
     palm_scan.scan(picture.cells, picture.corner, bin_width, points, middles, rotations, found)
     places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
-    off, turned = picture.differences(places, rotations[:, None])
-    chi2 = (off**2).sum(axis=-1) / picture.sigmas[0] ** 2
-    chi2 += (turned**2).sum(axis=-1) / picture.sigmas[1] ** 2
-    scores = (found[..., 0] - PRIOR_WEIGHT * chi2).reshape(-1)
+    off, turned = picture.sigmas_off(places, rotations[:, None])
+    scores = (found[..., 0] - PRIOR_WEIGHT * (off**2 + turned**2)).reshape(-1)
     best = np.argpartition(-scores, min(most, len(scores) - 1))[:most]
     best = best[np.isfinite(scores[best])]
-    r, s = np.divmod(best, len(middles))
-    candidates = np.zeros(len(best), dtype=CANDIDATE)
+    R = rotations[best // len(middles)]
+    candidates = candidates_at(se3.compose(R, places.reshape(-1, 3)[best] - R @ picture.hand.middle))
     candidates["score"] = scores[best]
-    candidates["pose"]["rotation"] = rotations[r]
-    candidates["pose"]["position"] = places[r, s] - rotations[r] @ picture.hand.middle
     return candidates
 
 
 @lru_cache(maxsize=16)
 def _turns(reach: float, step: float) -> Array:
     """Returns rotations (r, 3, 3) `step` apart, up to `reach` [rad]; none but 0 where that is less than half a step."""
-    count = max(int(np.ceil(reach / step - 0.5)), 0)
-    steps = step * np.arange(-count, count + 1)
-    turns = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    turns = _grid(reach, np.full(3, step))
     inside = np.linalg.norm(turns, axis=1) <= reach + 0.8 * step
-    return np.stack([se3.rotation_exp(turn) for turn in turns[inside]])
+    return se3.rotation_exp(turns[inside])
 
 
 def _shifts(reach: float) -> Array:
     """Returns shifts (s, 3) up to `reach` [m], close together across the direction to the camera, layers along it."""
     steps = np.array([SEARCH_SHIFT, SEARCH_SHIFT, SEARCH_LAYER])
-    count, _, layers = np.maximum(np.ceil(reach / steps - 0.5).astype(int), 0).tolist()
-    across = steps[0] * np.arange(-count, count + 1)
-    along = steps[2] * np.arange(-layers, layers + 1)
-    shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    shifts = _grid(reach, steps)
     # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
     nearest = np.maximum(np.abs(shifts) - steps / 2, 0.0)
     return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
+
+
+def _grid(reach: float, steps: Array) -> Array:
+    """Returns places (n, 3), `steps` (3,) apart, up to `reach` along each axis."""
+    counts = np.maximum(np.ceil(reach / steps - 0.5).astype(int), 0)
+    places = np.indices(2 * counts + 1).reshape(3, -1).T - counts
+    return np.asarray(places * steps)
 
 
 def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int) -> Candidates:
@@ -302,7 +299,7 @@ def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candi
     """Moves candidates to where the first of the visible points `rows` lie on the image, and scores them by these."""
     few = rows[: stage.points]
     hand = picture.hand
-    skin = np.ascontiguousarray(hand.skin[:, few])
+    skin = hand.skin.take(few, axis=1)
     camera = picture.camera.record
     stages = np.array([(0, stage.first_bound, stage.last_bound, stage.steps, 1)], dtype=STAGE)
     hand_term.refine_hand(camera, picture.arrays, skin, hand.middle, hand.radius, stages, candidates)
@@ -314,11 +311,10 @@ def _finished(picture: Picture, candidate: Candidates, stage: AlignStage) -> Can
     """Returns CANDIDATE (1,) aligned by all visible points; a surface that goes on beside the hand lowers its score."""
     rows = np.flatnonzero(picture.hand.visible_from(picture.camera, poses_of(candidate)[0]))
     candidate = candidate.copy()
-    score = hand_term.HAND_SCORE
     _align(picture, rows, stage, candidate)
     expected = candidate["expected"]
     continued = picture.hand.outline_continued(picture.camera, picture.depth, poses_of(candidate)[0])
-    size = np.maximum(expected, score.min_expected) ** score.size_exponent
+    size = np.maximum(expected, HAND_SCORE.min_expected) ** HAND_SCORE.size_exponent
     candidate["score"] -= CONTINUED_WEIGHT * continued * expected / size
     return candidate
 
@@ -326,9 +322,8 @@ def _finished(picture: Picture, candidate: Candidates, stage: AlignStage) -> Can
 def _believed(picture: Picture, candidates: Candidates, sigmas: float) -> Candidates:
     """Returns the candidates, the best first, that are at most so many sigmas off the predicted pose."""
     Ts = poses_of(candidates)
-    middles = se3.apply(Ts, picture.hand.middle[None])[:, 0]
-    off, turned = (np.linalg.norm(d, axis=1) for d in picture.differences(middles, Ts[:, :3, :3]))
-    candidates = candidates[(off < sigmas * picture.sigmas[0]) & (turned < sigmas * picture.sigmas[1])]
+    off = np.maximum(*picture.sigmas_off(picture.hand.middle_at(Ts), Ts[:, :3, :3]))
+    candidates = candidates[off < sigmas]
     return candidates[np.argsort(-candidates["score"], kind="stable")]
 
 
@@ -359,15 +354,15 @@ def _covariance(picture: Picture, candidate: Candidates, noise: DepthNoise) -> A
     hand = picture.hand
     camera = picture.camera
     rows = np.flatnonzero(hand.visible_from(camera, T))
-    skin = np.ascontiguousarray(hand.skin[:, rows])
+    skin = hand.skin.take(rows, axis=1)
     fitted = np.empty((len(rows), 8))
     bound = LAST_STAGE.last_bound
     hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, fitted)
     used = fitted[:, 0] > 0
     weights = fitted[used, 0]
-    normals = np.ascontiguousarray(fitted[used, 2:5])
+    normals = fitted[used, 2:5].copy()
     points = se3.apply(T, skin[0, used])
-    center = se3.apply(T, hand.middle[None])[0]
+    center = hand.middle_at(T)
     z = np.maximum(center[2:], 1e-3)
     # Along a direction that no point observes: half the hand's size, and 1.8 rad.
     errors = depth_errors(camera, noise, z, (hand.radius, 1.8 * hand.radius))
@@ -379,7 +374,7 @@ def _covariance(picture: Picture, candidate: Candidates, noise: DepthNoise) -> A
         lines = np.hstack([normals, np.cross(points - center, normals) / hand.radius])
         by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows[used]))
         information = informed[0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
-        follows = np.linalg.solve(information, np.einsum("m,mi,mk->ik", weights, lines, by_joints))
+        follows = np.linalg.solve(information, (weights * lines.T) @ by_joints)
         covariance = covariance + follows @ follows.T
     scale = np.repeat([1.0, hand.radius], 3)
     covariance = GaussianPose(T, covariance / np.outer(scale, scale)).at_point(-hand.middle).covariance

@@ -13,6 +13,7 @@ from handsight.hand import Hand
 from handsight.hand.chains import transform_points
 from handsight.vision.object.region import MAX_RANGE, TABLE_WITHIN, scene_of, table_plane
 from handsight.vision.palm.hand_appearance import skin_points
+from handsight.vision.reconstruction.reconstruct import View, within
 
 MIN_TABLE = 0.15  # a plane wider than this is a table [m]
 MIN_PIXELS = 200  # of an object in its first view
@@ -35,14 +36,13 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     if plane is None:
         return None
     scene = scene_of(camera, depth, table=plane)
-    rows, columns = np.nonzero(scene.labels >= 0)
-    big = scene.sizes[scene.labels[rows, columns]] >= MIN_PIXELS
-    rows = rows[big]
-    columns = columns[big]
+    big = np.flatnonzero(scene.sizes >= MIN_PIXELS)
+    rows, columns = np.nonzero(np.isin(scene.labels, big))
     if not len(rows):
         return None
     off = np.hypot(rows - depth.shape[0] / 2, columns - depth.shape[1] / 2)
-    part = scene.labels[rows[off.argmin()], columns[off.argmin()]]
+    nearest = off.argmin()
+    part = scene.labels[rows[nearest], columns[nearest]]
     points = camera.points(depth)[scene.labels == part].astype(np.float64)
     z = plane[:3]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -90,12 +90,9 @@ class InHandView:
         skin = transform_points(self._points, self._bodies, Ts)
         by_error = self._chains.jacobians(skin, self._bodies, axes, self._joint_errors)[:, :3]
         slack = HAND_MARGIN + JOINT_SIGMAS * np.linalg.norm(by_error, axis=(1, 2))
-        points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth).reshape(-1, 3).astype(np.float64))
-        low = skin.min(axis=0) - slack.max()
-        high = skin.max(axis=0) + slack.max()
-        with np.errstate(invalid="ignore"):
-            around = np.flatnonzero((depth.reshape(-1) > 0) & ((points > low) & (points < high)).all(axis=1))
-        gap, which = scipy.spatial.cKDTree(skin).query(points[around], k=SEGMENTATION_NEIGHBOURS)
-        alone = depth.copy()
-        alone.reshape(-1)[around[(gap < slack[which]).any(axis=1)]] = 0
-        return alone
+        bounds = np.stack([skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()])
+        near = within(camera, View(depth, T_camera_palm), bounds)
+        points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth)[near].astype(np.float64))
+        gap, which = scipy.spatial.cKDTree(skin).query(points, k=SEGMENTATION_NEIGHBOURS)
+        near[near] = (gap < slack[which]).any(axis=1)
+        return np.where(near, np.float32(0), depth)

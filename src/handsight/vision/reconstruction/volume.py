@@ -39,7 +39,8 @@ class Volume:
     @property
     def bounds_object(self) -> Array:
         """(2, 3) [m]."""
-        return np.stack([low := self.grid.origin, low + self.grid.cell * (np.array(self.grid.shape) - 1)])
+        low = self.grid.origin
+        return np.stack([low, low + self.grid.cell * (np.array(self.grid.shape) - 1)])
 
     def fuse(self, camera: Camera, depth: Depth, T_camera_object: Array) -> None:
         """Adds a depth image (h, w) [m], 0 where it has no depth."""
@@ -68,28 +69,28 @@ class Volume:
         """Returns the surface: where distances change their sign between neighbours."""
         f = self.distances()
         slopes = []
-        points = []
-        normals = []
-        for axis, n in enumerate(f.shape):
+        for axis in range(3):
             # The mean change to the known neighbours, 0 where there is none: a surface seen aslant is a few nodes
             # thick, and often has a neighbour on one side only.
             change = np.diff(f, axis=axis, prepend=np.nan, append=np.nan)
-            both = np.stack([change.take(range(n), axis), change.take(range(1, n + 1), axis)])
+            both = np.lib.stride_tricks.sliding_window_view(change, 2, axis)
             known = np.isfinite(both)
-            slopes.append(np.where(known, both, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+            slopes.append(np.where(known, both, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1))
         slope = np.stack(slopes, axis=-1)
-        with np.errstate(invalid="ignore"):
-            for axis, n in enumerate(f.shape):
-                at = np.argwhere(f.take(range(n - 1), axis) * f.take(range(1, n), axis) < 0)
-                here = tuple(at.T)
-                next_ = tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
-                share = (f[here] / (f[here] - f[next_]))[:, None]
-                way = (1 - share) * slope[here] + share * slope[next_]
-                length = np.linalg.norm(way, axis=1)
-                # Where the slope contradicts the change of sign, or is not known, there is no surface.
-                good = (length > 0) & (way[:, axis] * (f[next_] - f[here]) > 0)
-                points.append((at + share * np.eye(3)[axis])[good])
-                normals.append(way[good] / length[good, None])
+        points = []
+        normals = []
+        for axis, step in enumerate(np.eye(3, dtype=np.int64)):
+            at = np.argwhere(np.abs(np.diff(np.sign(f), axis=axis)) == 2)
+            here = tuple(at.T)
+            there = tuple((at + step).T)
+            rise = f[there] - f[here]
+            share = (-f[here] / rise)[:, None]
+            way = (1 - share) * slope[here] + share * slope[there]
+            length = np.linalg.norm(way, axis=1)
+            # Where the slope contradicts the change of sign, or is not known, there is no surface.
+            good = (length > 0) & (way[:, axis] * rise > 0)
+            points.append((at + share * step)[good])
+            normals.append(way[good] / length[good, None])
         cells, facing = thinned(np.concatenate(points), np.concatenate(normals))
         return SurfacePoints(self.grid.origin + self.grid.cell * cells, facing)
 
@@ -119,10 +120,14 @@ def thinned(points: Array, normals: Array) -> SurfacePoints:
     """Returns the means of the points (n, 3) [cells] with normals (n, 3) in each cell that face the same way."""
     facing = np.abs(normals).argmax(axis=1)
     side = 2 * facing + (normals[np.arange(len(normals)), facing] > 0)
-    cells = np.column_stack([np.rint(points).astype(np.int64), side])
+    _, means = means_by_cell(np.column_stack([np.rint(points), side]), np.hstack([points, normals]))
+    normal = means[:, 3:]
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return SurfacePoints(means[:, :3], normal / np.maximum(length, 1e-12))
+
+
+def means_by_cell(cells: Array, rows: Array) -> tuple[Indices, Array]:
+    """Returns the number (n,) of each row's cell, by `cells` (n, k), and the means (c, m) of rows (n, m) in each."""
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    columns = [np.bincount(which.reshape(-1), column) / count for column in (*points.T, *normals.T)]
-    at = np.stack(columns[:3], axis=1)
-    facing = np.stack(columns[3:], axis=1)
-    length = np.linalg.norm(facing, axis=1, keepdims=True)
-    return SurfacePoints(at, facing / np.maximum(length, 1e-12))
+    which = which.reshape(-1)
+    return which, np.stack([np.bincount(which, column) / count for column in rows.T], axis=1)
