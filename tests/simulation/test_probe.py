@@ -9,10 +9,9 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
-from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
+from handsight.simulation import Nuisances, Scenario, model_of
 from handsight.simulation.touch_search import TABLE_PROBES, start_search
 from simulation.simulated import NONE
 from testbed.refusals import refused
@@ -86,27 +85,6 @@ def test_an_object_larger_than_the_searched_area_is_rejected():
     scenario = Scenario(object="can")
     with refused(InvalidInput, "object"):
         start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
-
-
-@pytest.mark.slow
-def test_a_can_found_gripped_and_weighed_is_at_its_estimated_pose():
-    """Nothing of a camera in any sample but the pose that the search has found, once."""
-    scenario = Scenario(object="can", seed=0, motion="weigh")
-    rig = touch_search_rig(scenario)
-    model = rig.objects["can"].model()
-    tracker, poses, last = hs.Tracker(rig, model), 0, None
-    for sample in simulate_touch_search(scenario):
-        observation = sample.observation
-        assert observation.color is None
-        assert last is None or observation.stamp > last
-        poses, last = poses + (observation.vision is not None), observation.stamp
-        estimate = tracker.update(observation)
-        assert (estimate is None) == (poses == 0)
-    assert poses == 1
-    shift, turn = pose_distances(model, sample.T_palm_object[None], estimate.T_palm_object)
-    assert shift[0] < 3e-3
-    assert turn[0] < np.deg2rad(4)
-    assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
 
 
 BLIND = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
