@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +67,14 @@ def entrants(peers: dict[str, Peer], object_name: str, error: str, chosen: Row) 
     for key, peer in peers.items():
         entry = chosen["peers"].get(key, {}).get(f"{object_name}, {error}")
         setting = None if entry is None else entry["chosen"]["setting"]
-        found.append(Entrant(key, peer if setting is None else peer.using(setting), setting))
+        found.append(Entrant(key, peer if setting is None else using(peer, setting), setting))
     return found
+
+
+def using(peer: Any, setting: Row) -> Peer:
+    """Returns the same peer with other constants; the paper's are those of its method."""
+    method = getattr(peer, "method", None)
+    return replace(peer, **setting) if method is None else replace(peer, method=replace(method, **setting))
 
 
 def run_case(runners: list[Entrant], object_name: str, error: str, problems: int, seconds: float) -> None:
@@ -86,7 +92,8 @@ def run_case(runners: list[Entrant], object_name: str, error: str, problems: int
         begin = time.perf_counter()
         for k in range(problems):
             problem = workload.draw(object_name, error, k)
-            for runner in _rotated(runners, k):
+            first = k % len(runners)
+            for runner in [*runners[first:], *runners[:first]]:
                 done = len(runner.seconds)
                 if done < 10 or sum(runner.seconds) < share:
                     runner.run(problem, runner.peer.ready(problem))
@@ -99,11 +106,6 @@ def run_case(runners: list[Entrant], object_name: str, error: str, problems: int
                 budget = 0.2 * seconds / HOT_PROBLEMS / len(runners)
                 # The least: what the code costs, whoever else uses the machine.
                 runner.hot.append(float(timing.hot(solve, min(budget, 0.1), least=3).min()))
-
-
-def _rotated(runners: list[Entrant], k: int) -> list[Entrant]:
-    shift = k % len(runners)
-    return [*runners[shift:], *runners[:shift]]
 
 
 def run(
