@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import sys
 import threading
 import time
 from collections import deque
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from handsight import ObjectModel, se3
+from handsight.errors import MissingExtra
 from handsight.tracking import Tracker
 from handsight.viewer import Viewer, view
 from handsight.viewer.player import Player
+from testbed.refusals import refused
 from tests.live.recorded import answered, live, poses, said
 
 
@@ -274,6 +277,12 @@ def test_a_page_that_is_closed_leaves_no_thread(tracked, pages, free_port):
         pass
     # The page's own is a process, but here: its pipe is closed a moment before it ends.
     until(lambda: {thread.name for thread in threading.enumerate()} - before <= {"asyncio_0"})
+
+
+def test_without_viser_one_sentence_says_what_to_install(tracked, pages, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with refused(MissingExtra, "the viewer needs viser"):
+        view(Tracker(tracked.rig, tracked.model))
 
 
 def test_garbage_from_a_browser_ends_its_connection_without_a_traceback(page, capfd, caplog):
