@@ -37,10 +37,7 @@ def together(base, motion="manipulate"):
     lost sample is None."""
     variants = {"without": base} | {name: dataclasses.replace(base, **n) for name, n in ALONE.items()}
     base_scenario = Scenario(object="box", seed=3, motion=motion, rate=50.0, nuisances=base)
-    rows = shared.made_once(
-        f"{base_scenario} {ALONE}", lambda: list(simulate_each(base_scenario, list(variants.values())))
-    )
-    columns = zip(*rows, strict=True)
+    columns = zip(*simulate_each(base_scenario, list(variants.values())), strict=True)
     return dict(zip(variants, columns, strict=True))
 
 
