@@ -72,8 +72,8 @@ OTHERS: dict[str, tuple[str, dict[str, str], str]] = {
     ),
     "closest": (
         "How far from the surface, per query, in batch",
-        {"name": "peer", **TIMES, "face_error_mm": "face mm", "rim_error_mm": "rim mm", "queries": "queries"},
-        "face, rim: median error of the distance away from and within 4 mm of a rim, against the true cylinder.",
+        {"name": "peer", **TIMES, "queries": "queries"},
+        "",
     ),
     "startup": ("New processes, CPU time, interpreter included", {"name": "", **TIMES}, ""),
 }

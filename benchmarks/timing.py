@@ -1,13 +1,19 @@
-"""Wall-clock times: of calls taken in turn and again and again (hot); medians, tails, ratios."""
+"""Wall-clock times of calls, in turn and again and again (hot): medians, tails, ratios; and where they were taken."""
 
 import contextlib
 import gc
+import importlib.metadata
 import os
+import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
+
+from testbed import report
 
 
 @contextlib.contextmanager
@@ -82,25 +88,46 @@ def summary(seconds: Sequence[float] | np.ndarray) -> dict[str, float]:
     }
 
 
-def ratio_of_each(a: Sequence[float], b: Sequence[float], draws: int = 400) -> dict[str, float]:
+def ratio_of_each(a: Sequence[float], b: Sequence[float]) -> dict[str, float]:
     """Geometric mean of a / b with its bootstrap interval (95 %), each of the same problem.
 
     Where problems are of several kinds, some ten times as long as others, medians are of one kind or the other.
     """
-    n = min(len(a), len(b))
-    logs = np.log(np.asarray(a)[:n] / np.asarray(b)[:n])
-    drawn = logs[np.random.default_rng(0).integers(n, size=(draws, n))].mean(axis=1)
-    low, high = np.exp(np.quantile(drawn, [0.025, 0.975]))
-    return {"ratio": float(np.exp(logs.mean())), "low": float(low), "high": float(high), "pairs": n}
+    return _interval(a, b, lambda a, b: np.exp(np.log(a / b).mean(axis=-1)))
 
 
-def ratio(a: Sequence[float], b: Sequence[float], draws: int = 400) -> dict[str, float]:
+def ratio(a: Sequence[float], b: Sequence[float]) -> dict[str, float]:
     """median(a) / median(b) with its bootstrap interval (95 %); pairs were taken in the same turn."""
-    first, second = np.asarray(a), np.asarray(b)
-    n = min(len(first), len(second))
-    first, second = first[:n], second[:n]
+    return _interval(a, b, lambda a, b: np.median(a, axis=-1) / np.median(b, axis=-1))
+
+
+def _interval(
+    a: Sequence[float], b: Sequence[float], of: Callable[..., Any], draws: int = 400
+) -> dict[str, float]:
+    n = min(len(a), len(b))
+    first, second = np.asarray(a)[:n], np.asarray(b)[:n]
     rows = np.random.default_rng(0).integers(n, size=(draws, n))
-    drawn = np.median(first[rows], axis=1) / np.median(second[rows], axis=1)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    middle = float(np.median(first) / np.median(second))
-    return {"ratio": middle, "low": float(low), "high": float(high), "pairs": n}
+    low, high = np.quantile(of(first[rows], second[rows]), [0.025, 0.975])
+    return {"ratio": float(of(first, second)), "low": float(low), "high": float(high), "pairs": n}
+
+
+PACKAGES = ("handsight", "numpy", "scipy", "numba", "trimesh", "open3d", "small_gicp")
+
+
+def description() -> dict[str, Any]:
+    """Returns processor, cores, load before the run, and versions."""
+    return {
+        "description": report.machine(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "load": [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None,
+        "system": platform.platform(terse=True),
+        "versions": {name: _version(name) for name in PACKAGES},
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

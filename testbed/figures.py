@@ -1,7 +1,6 @@
 """Parts of figures: matplotlib without a screen, colours, axes in centimetres, views of a simulated grasp."""
 
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,6 @@ from testbed.report import Array
 
 INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
 """The colours of the paper's figure 3: grey, green, yellow."""
-GREEN, PINK = (0.2, 0.75, 0.3, 0.6), (0.95, 0.3, 0.65, 0.6)
-"""Colours of the object at the pose of vision or of a correction."""
-AWAY, CENTRED = np.array([-0.16, 0.36, 0.22]), 0.06
-"""Position of the camera relative to the object [m], on the side of the robot's camera; shift of the picture's middle
-from the object towards the hand [m]."""
-CLOSE = slice(30, 450), slice(70, 570)
-"""Rows and columns of a picture that are shown."""
 
 
 def pyplot() -> Any:
@@ -90,24 +82,3 @@ def legend_below(figure: Any, axes: Any, columns: int) -> None:
     """Adds the legend of some axes below the figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)
-
-
-def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
-    """Shows one picture in each panel, with its title."""
-    for axes, (title, picture) in zip(panels, pictures, strict=True):
-        axes.imshow(picture)
-        axes.set_title(title)
-        axes.axis("off")
-
-
-def close_up(trial: Any, T_palm_object: Array | None = None, color: Any = GREEN) -> Array:
-    """Returns a picture (h, w, 3) of a simulated grasp from near: as it is, or with the object at another pose only."""
-    from handsight.simulation import camera_facing
-    from testbed.pictures import render
-
-    at = trial.sample.T_world_object[:3, 3] - [CENTRED, 0, 0]
-    options: dict[str, Any] = {"T_world_camera": camera_facing(at + AWAY, at)}
-    if T_palm_object is not None:
-        options |= {"ghost": T_palm_object, "color": color, "show_object": False}
-    picture: Array = render(trial.scenario, trial.sample, **options)
-    return picture[CLOSE]

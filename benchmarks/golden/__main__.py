@@ -9,7 +9,7 @@ import time
 import warnings
 from pathlib import Path
 
-from benchmarks import golden, machine
+from benchmarks import golden, timing
 from benchmarks.golden import answers, commands, corrections
 
 GROUPS = {
@@ -42,7 +42,7 @@ def parsed() -> argparse.Namespace:
 def record(folder: Path, groups: list[str]) -> None:
     """Writes the answers of these groups."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / MACHINE).write_text(json.dumps(machine.description(), indent=1), encoding="utf-8")
+    (folder / MACHINE).write_text(json.dumps(timing.description(), indent=1), encoding="utf-8")
     for group in groups:
         begin = time.perf_counter()
         found = dict(GROUPS[group](folder, quick=False))
@@ -52,7 +52,7 @@ def record(folder: Path, groups: list[str]) -> None:
 
 def compare(folder: Path, groups: list[str], *, quick: bool, rounding: bool) -> bool:
     """Returns whether the answers of these groups are those that were recorded."""
-    before, now = json.loads((folder / MACHINE).read_text(encoding="utf-8")), machine.description()
+    before, now = json.loads((folder / MACHINE).read_text(encoding="utf-8")), timing.description()
     for what in ("description", "system", "versions"):
         if before.get(what) != now.get(what):
             print(f"recorded with {what} {before.get(what)}, compared with {now.get(what)}")

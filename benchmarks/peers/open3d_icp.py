@@ -54,7 +54,3 @@ class Open3DICP:
             return se3.inverse(np.asarray(found.transformation))
 
         return solve
-
-    def using(self, setting: dict[str, Any]) -> "Open3DICP":
-        """The same peer with other constants."""
-        return Open3DICP(**setting)

@@ -27,15 +27,10 @@ class Ours:
         return lambda: hs.correct_pose(model, contacts, vision=vision, outside=outside).T_palm_object
 
 
-class OursKernel:
+class OursKernel(Ours):
     """The compiled two-phase solve from one start: no checks, no outliers, no modes, no covariance."""
 
     name = "handsight, kernel"
-    uses_normals = True
-    uses_prior = True
-
-    def prepare(self, model: hs.ObjectModel) -> None:
-        """The model is all."""
 
     def ready(self, problem: Problem) -> Solve:
         """The kernel with its inputs already laid out."""

@@ -1,7 +1,7 @@
 """The paper's method (IROS 2013, eq. 1-6) compiled with numba."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,7 +47,3 @@ class PaperCompiled:
         contacts = np.hstack([problem.contacts.points_palm, problem.contacts.normals_palm])
         T = np.ascontiguousarray(problem.vision.T_palm_object)
         return lambda: paper_kernels.correct(cloud, contacts, T, center, options, space)
-
-    def using(self, setting: dict[str, float]) -> "PaperCompiled":
-        """The same peer with other constants."""
-        return PaperCompiled(replace(self.method, **setting))

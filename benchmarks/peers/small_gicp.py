@@ -6,7 +6,6 @@ repeating contacts would silence it, and are slower and find less).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import small_gicp
@@ -51,7 +50,3 @@ class SmallGICP:
             return se3.inverse(found.T_target_source)
 
         return solve
-
-    def using(self, setting: dict[str, Any]) -> "SmallGICP":
-        """The same peer with other constants."""
-        return SmallGICP(**setting)

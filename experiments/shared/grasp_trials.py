@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from experiments.shared.grasp_errors import pose_errors
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
@@ -137,17 +136,6 @@ def grasps(name: str, number: int, first: int, left_out: Any) -> Iterator[Trial]
             continue
         found += 1
         yield trial
-
-
-def typical(name: str, number: int, first: int) -> Trial:
-    """Returns the grasp whose error of vision is the median."""
-    trials = list(grasps(name, number, first, Counter()))
-    return sorted(trials, key=lambda t: read_error(t, t.vision.T_palm_object))[len(trials) // 2]
-
-
-def read_error(trial: Trial, T_palm_object: Array) -> float:
-    """Returns the error of the base's centre [mm] as the paper measures it."""
-    return float(pose_errors(trial.model, T_palm_object, trial.sample)["read"])
 
 
 def again(trial: Trial, **nuisances: Any) -> Trial | None:

@@ -1,8 +1,7 @@
-"""An object that is moved, lifted and turned in the hand: its pose over time, as in the paper's figure 8."""
+"""An object that is moved, lifted and turned in the hand: its pose over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,6 @@ TRACKED = {
 }
 
 
-@lru_cache(maxsize=2)  # figure 8 shows the first of those that section III's repetition judges
 def recorded(name: str, seed: int) -> list[Sample]:
     """Returns all samples of a manipulation."""
     return list(simulate(Scenario(object=name, seed=seed, motion="manipulate", rate=RATE)))

@@ -125,23 +125,6 @@ def test_a_reader_that_leaves_ends_it_quietly(tmp_path, workers):
     command.stderr.close()
 
 
-def test_a_worker_that_is_killed_costs_no_line(tmp_path):
-    # So many that it is not done by the time its workers are found.
-    problems, output = several(tmp_path / "p.jsonl", 3000), tmp_path / "a.jsonl"
-    command = begun(["correct", problems, "--output", output, "--workers", 2])
-    part = output.with_name("a.jsonl.part")
-    waited_for(lambda: part.exists() and part.stat().st_size > 10_000)
-    workers = workers_of(command)
-    assert len(workers) == 2
-    for worker in workers:
-        worker.kill()
-    _, said = command.communicate(timeout=120)
-    assert command.returncode == 0, said
-    answers = output.read_text().splitlines()
-    assert len(answers) == 3000
-    assert all(list(json.loads(answer)) == KEYS for answer in answers)
-
-
 def test_workers_and_cluster_exclude_each_other(asked):
     _, said = asked("correct", "-", "--workers", 2, "--cluster", "tcp://127.0.0.1:1", expect=2)
     assert "--workers: expected without --cluster" in said

@@ -2,14 +2,10 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy.optimize import least_squares
 
 from contact.contact_cases import PAPER_TIP, any_tip, touches
 from handsight import se3
-from handsight.checks import MAX_LOAD
 from handsight.contact import (
     Contact,
     Ellipsoid,
@@ -183,9 +179,9 @@ def readings(truth, T):
 def test_the_covariance_is_the_derivative_s_by_central_differences():
     rng = np.random.default_rng(10)
     sigmas = np.array([0.01, 0.02, 0.03, 5e-5, 1e-4, 2e-4])
-    for _ in range(20):
+    for k in range(24):
         T = se3.random(rng, spread=0.02)
-        tip = any_tip(rng, T_surface_sensor=T)
+        tip = Sphere(0.009, T_surface_sensor=T) if k % 6 == 0 else any_tip(rng, T_surface_sensor=T)
         (force,), (torque,) = readings(touches(rng, tip, 1), T)
         steps = np.concatenate([np.eye(6), -np.eye(6)]) * 1e-4 * sigmas
         moved = contacts_from_wrenches(force + steps[:, :3], torque + steps[:, 3:], tip)
@@ -221,35 +217,6 @@ def test_location_at_one_newton_is_as_good_as_the_sensor_s_noise_allows(tip, mos
     assert np.sqrt((errors_mm**2).mean()) == pytest.approx(np.sqrt((sigma_mm**2).mean()), rel=0.03)
 
 
-SIZES = st.floats(-1.7976931348623157e308, 1.7976931348623157e308, allow_subnormal=True)
-EXTREME = hnp.arrays(
-    np.float64, (1, 3), elements=SIZES | st.sampled_from([0.0, 1e-300, 5e-324, 1e-160, 1e160, 1.0])
-)
-TIPS = st.sampled_from(
-    [
-        TIP,
-        Sphere(0.009, cap=0.0, max_friction=0.5),
-        Ellipsoid((1e-5, 0.2, 1e-3), min_force=1e-9),
-        Ellipsoid(PAPER_TIP, T_surface_sensor=se3.random(np.random.default_rng(13), spread=0.02)),
-    ]
-)
-
-
-@given(EXTREME, EXTREME, TIPS)
-@example(np.full((1, 3), -1.7976931348623157e308), np.zeros((1, 3)), TIP)
-@example(np.array([[0.0, 0, -1]]), np.array([[1e300, 1e300, 1e308]]), TIP)
-@settings(max_examples=400)
-def test_no_finite_wrench_gives_nan(force, torque, tip):
-    batch = contacts_from_wrenches(force, torque, tip)
-    beyond = max(np.abs(force).max(), np.abs(torque).max()) > MAX_LOAD
-    assert (batch.reasons[0] == Reason.INVALID) == beyond
-    for values in (batch.points, batch.normals, batch.forces, batch.forces_normal, batch.torques):
-        assert np.isfinite(values).all()
-    assert np.isfinite(batch.covariances).all()
-    assert (batch.forces_normal > 0).all()
-    np.testing.assert_allclose(((batch.points / tip.semi_axes) ** 2).sum(axis=1), 1, rtol=1e-12)
-
-
 def test_a_row_that_is_not_finite_is_invalid_and_the_others_are_answered():
     F, M = np.tile([0.0, 0, -1], (4, 1)), np.zeros((4, 3))
     F[1, 0], M[2, 2] = np.nan, np.inf
@@ -262,15 +229,6 @@ def test_a_row_that_is_not_finite_is_invalid_and_the_others_are_answered():
     assert batch[-1] == NoContact("free")
     with pytest.raises(IndexError):
         batch[4]
-
-
-def test_one_wrench_is_a_batch_of_one():
-    truth = touches(np.random.default_rng(14), TIP, 5)
-    batch = contacts_from_wrenches(truth.forces, truth.torques, TIP)
-    for i, contact in enumerate(batch):
-        one = contact_from_wrench(truth.forces[i], truth.torques[i], TIP)
-        np.testing.assert_allclose(one.covariance, contact.covariance, rtol=1e-12, atol=1e-25)
-        np.testing.assert_allclose(one.point, contact.point, rtol=0, atol=1e-17)
 
 
 def test_moving_a_contact_there_and_back_changes_nothing():

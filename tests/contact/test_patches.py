@@ -187,15 +187,6 @@ def test_a_wrong_surface_is_refused(given, field):
         TactileSurface(**FIELDS | given)
 
 
-def test_the_simulated_press_has_its_force_and_its_centre():
-    rng = np.random.default_rng(9)
-    surface = tip(BALL, rng, taxels=90, pitch=0.003)
-    truth = pressed(BALL, surface, rng, force=2.0, round_by=0.0, dead=0, place=surface.points[0])
-    assert truth.force @ truth.normal == pytest.approx(2.0, rel=0.03)
-    assert np.linalg.norm(np.cross(truth.center - truth.point, truth.normal)) < 6e-4
-    assert np.linalg.norm(np.cross(truth.force, truth.normal)) / 2.0 < skin_scenes.FRICTION * 1.2
-
-
 @pytest.mark.parametrize("declared", [None, 0.5, 1.0, 2.0])
 def test_a_contact_of_soft_skin_is_where_the_object_has_sunk_to(declared):
     """By a stiffness that is right, wrong by a factor of two, or unknown, the true surface is within its sigma."""

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.contact import Sphere, calibrate_wrench, compensate, contact_from_wrench
+from handsight.contact import calibrate_wrench, compensate
 from handsight.errors import InvalidInput
 from testbed.refusals import refused
 
@@ -58,15 +58,6 @@ def test_what_is_compensated_is_what_the_object_does(reading, sign):
     np.testing.assert_allclose(one, (F[1], M[1]), atol=1e-15)
     same = compensate(*read(gravities[0], sign, force, torque), gravities[0], calibration)
     np.testing.assert_allclose(same, (force, torque), atol=1e-13)
-
-
-def test_a_calibrated_sensor_finds_the_contact():
-    point, force = np.array([0, 0, 0.009]), np.array([0.2, 0, -1.5])
-    T = se3.compose(np.eye(3), np.array([0, 0, -0.02]))
-    readings = read(SIX[1], 1.0, force, np.cross(point - T[:3, 3], force))
-    F, M = compensate(*readings, SIX[1], calibrate_wrench(*read(SIX), SIX))
-    contact = contact_from_wrench(F, M, Sphere(0.009, T_surface_sensor=T))
-    np.testing.assert_allclose(contact.point, point, atol=1e-12)
 
 
 def cone(degrees, n=8):

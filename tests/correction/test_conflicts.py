@@ -159,14 +159,6 @@ def test_who_contradicts_whom_is_right(wrong):
         assert found.consistent == (wrong != "vision")
 
 
-def test_the_hand_inside_the_object_is_named():
-    given = all_evidence("", 2)
-    T = given["vision"].T_palm_object
-    inside = se3.apply(T, np.array([[0.005, 0.0, 0.0]]))
-    found = hs.correct_pose(box(), given["contacts"], vision=given["vision"], outside=inside)
-    assert "outside" in named(found)
-
-
 def test_an_answer_as_json_has_its_conflicts():
     right = json.loads(answer_text(Reader("."), json.dumps(BOX).encode()))
     assert right["conflicts"] == []

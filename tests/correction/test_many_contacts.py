@@ -225,7 +225,7 @@ def precise_scene(seed, contacts):
     return many_scene(box(), np.random.default_rng(seed), ALONE._replace(contacts=contacts))
 
 
-@pytest.mark.parametrize("n", [60, 200])
+@pytest.mark.parametrize("n", [6, 60, 200])
 def test_points_of_the_hand_inside_are_named_however_many_contacts_there_are(n):
     for seed in range(5):
         scene = precise_scene(seed, n)

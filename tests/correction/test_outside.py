@@ -7,16 +7,9 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.evidence import outside_term, terms
-from handsight._kernels.jit import entry
-from handsight._kernels.math.stack import local
-from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import apply_inverse, vector
-from handsight._kernels.mesh.field import field_at
-from handsight._kernels.records import MEASURED, OBJECT_WEIGHT, PRIOR_TERM, TERM
 from handsight.correction import Outside, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem
 from handsight.errors import InvalidInput
 from objects.object_shapes import data_file
 from testbed import scenes
@@ -30,58 +23,6 @@ def model(name):
     if name == "mustard":
         return hs.ObjectModel.from_file(data_file("ycb_meshes/006_mustard_bottle.ply"))
     return {"box": scenes.box, "can": scenes.can}[name]()
-
-
-def hand(thing, rng, count=60, links=6):
-    """A cloud around the object, some of it inside, its links in no order."""
-    spread = 0.8 * np.ptp(thing.bounds_object, axis=0)
-    points = thing.center_object + spread * rng.uniform(-1, 1, (count, 3))
-    return Outside(
-        points, sigmas=rng.uniform(1e-3, 4e-3, count), links=rng.integers(links, size=count) - 2,
-        slacks=rng.uniform(0, 4e-3, count),
-    )  # fmt: skip
-
-
-@entry
-def _costs(model, nodes, outside, descents, coarse, costs):
-    """Of a walk through poses: what all points cost, each pose by itself, and what those cost that are reachable."""
-    contacts, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)
-    weight, measured, hand = local(OBJECT_WEIGHT), local(MEASURED), outside.copy()
-    measured.nodes = -1
-    field = model[0].coarse if coarse else model[0].fine
-    evidence = terms.Evidence(model[0], nodes, contacts, hand, measured, weight, nothing, center)
-    for k in range(len(descents)):
-        pose = pose_of(descents[k].pose)
-        costs[k, 1] = outside_term.outside_cost(evidence, field, pose)
-        costs[k, 2] = 0
-        for i in range(len(hand)):
-            costs[k, 2] += hand[i].clearance <= measured.move
-        costs[k, 0], total = 0.0, 0.0
-        for i in range(len(hand)):  # the points of a link follow each other
-            place = apply_inverse(pose, vector(outside[i].point))
-            depth = -(field_at(nodes, field, place)[0] + outside[i].slack) / outside[i].sigma
-            total += max(depth, 0.0) ** outside_term.POWER
-            if i == len(hand) - 1 or outside[i + 1].link != outside[i].link:
-                costs[k, 0] += total ** (2 / outside_term.POWER)
-                total = 0.0
-
-
-@pytest.mark.parametrize("name", ["box", "can", "mustard"])
-@pytest.mark.parametrize("coarse", [False, True])
-def test_points_that_are_skipped_as_far_cost_nothing(name, coarse):
-    thing, scene = model(name), grasp(name)
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        rows = outside_records(thing, scene.contacts, hand(thing, rng, 300))
-        rows["point"] = se3.apply(scene.T_palm_object, rows["point"])
-        # Steps of a millimetre to a decimetre, and back.
-        sizes = 10 ** rng.uniform(-3.5, -1, (60, 1)) * np.repeat([1.0, 5.0], 3)
-        Ts = se3.moved(scene.T_palm_object[None].repeat(60, axis=0), sizes * rng.normal(size=(60, 6)))
-        costs = np.empty((60, 3))
-        _costs(*thing.record[:2], rows, descents_at(Ts), coarse, costs)
-        np.testing.assert_allclose(costs[:, 1], costs[:, 0], rtol=1e-12)
-        assert costs[:, 0].max() > 1
-        assert costs[:, 2].min() < 200
 
 
 def grasp(name, seed=0):

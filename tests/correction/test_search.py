@@ -63,16 +63,16 @@ def test_a_start_that_led_to_the_wrong_face_of_an_l_is_not_the_last(seed):
 @pytest.mark.slow
 def test_on_an_l_few_better_modes_are_missed():
     missed = [
-        (shift, turn) for gain, shift, turn in map(better_near_the_truth, range(3000, 6000)) if gain > 3
+        (shift, turn) for gain, shift, turn in map(better_near_the_truth, range(3000, 4000)) if gain > 3
     ]
     near = sum(shift > 0.005 for shift, _ in missed)
     far = sum(shift > SAME_MODE[0] or turn > SAME_MODE[1] for shift, turn in missed)
     print(
-        f"of 3000, a mode that costs less by 3: {near} over 5 mm off, {far} that would be told as another hypothesis"
+        f"of 1000, a mode that costs less by 3: {near} over 5 mm off, {far} that would be told as another hypothesis"
     )
-    # 33 and 1 when this was written: a descent from the truth ends where no draw of the prior leads to.
-    assert near <= 40
-    assert far <= 4
+    # Of 3000 33 and 1 when this was written: a descent from the truth ends where no draw of the prior leads to.
+    assert near <= 13
+    assert far <= 1
 
 
 @pytest.mark.parametrize(("make", "touched"), [(can, on_can_side), (box, on_box_faces)])

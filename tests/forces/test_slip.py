@@ -142,7 +142,7 @@ def test_an_object_that_turns_about_one_finger_slips_where_the_others_bounce():
 def test_pulls_and_jerks_of_a_simulated_object_are_detected(name):
     """Those of seeds on which no threshold was chosen, friction 0.4 to 0.7."""
     totals = dict.fromkeys(("alarmed", "right", "slipped", "found"), 0)
-    for seed, motion, mu in ((701, "ramp", 0.7), (702, "steps", 0.6), (703, "jerks", 0.4)):
+    for seed, motion, mu in ((701, "ramp", 0.7), (703, "jerks", 0.4)):
         pull = Nuisances(friction=mu, pull_force=9.0 if name == "box" else 18.0)
         run = list(simulate(Scenario(object=name, seed=seed, motion=motion, rate=250.0, nuisances=pull)))
         robot = rig_of(Scenario())
@@ -279,9 +279,3 @@ def test_the_same_at_any_rate(rate):
     clock.run(list(sliding(0.6))[:: max(1, round(500 / rate))])
     assert clock.detector.now.friction == pytest.approx(0.6, rel=0.03)
     assert clock.run([np.array([load(0.6)] * 3)] * round(0.06 * rate))[-1].slipping
-
-
-def test_a_noisy_sensor_learns_from_strong_loads_only():
-    rng, clock = np.random.default_rng(0), Clock(SlipDetector(rig(sigma_force=0.1)))
-    said = clock.run(steady([load(0.1, 2.0)] * 3, 2.0), rng, 0.1)[-1]
-    assert said.friction is None

@@ -67,6 +67,9 @@ MANY = [f"l{k}" for k in range(1001)]
 
 
 REPLICATED = "<replicate count='100'>" * 4 + "<body/>" + "</replicate>" * 4
+TURNED = (
+    chain("ab", ["ab"]).replace("fixed", "continuous").replace("/></joint>", '/><axis xyz="1 0 0"/></joint>')
+)
 TOO_MUCH = [
     (chain("abc", ["ab"]), "'a' and 'c', line 4"),
     (chain("ab", ["ab", "ba"]), "circle of joints at 'a', line 2"),
@@ -75,6 +78,7 @@ TOO_MUCH = [
     (chain("ab", ["xb"]), "joint 'j0'"),
     (chain("aba", ["ab"]), "'a' twice, line 4"),
     (chain("abc", ["ab", "ac"]).replace("j1", "j0"), "'j0' twice, line 7"),
+    (TURNED.replace("1 0 0", "0 0 0"), "axis"),
     (chain(MANY[:300], list(itertools.pairwise(MANY[:300]))), "200 deep"),
     (chain(MANY, []), "1000 links"),
     ("<robot>" + "<link/>" * 60_000 + "</robot>", "50000 elements"),

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from hand.hands import ALLEGRO_TIPS, SHADOW_TIPS, allegro_file, shadow_file, within_limits
 from handsight import se3
-from handsight._kernels.math import chain
 from handsight.hand import Hand
 from oracles import product_of_exponentials
 
@@ -93,15 +92,6 @@ def test_joints_with_anchors_references_and_several_to_a_body_are_where_a_produc
         np.testing.assert_allclose(hand.Ts_palm_tip(positions), expected, atol=1e-13)
         assert_jacobians_are_derivatives(hand, positions, 0.1 * rng.normal(size=(1, 3)))
     assert hand.limits.tolist() == [[-np.inf, np.inf]] * 3
-
-
-def test_points_are_carried_with_the_bodies_they_are_fixed_on(shadow_hand, rng):
-    Ts = shadow_hand.Ts_palm_tip(within_limits(shadow_hand, rng))
-    bodies, points, carried = rng.integers(5, size=7), rng.normal(size=(7, 3)), np.empty((7, 3))
-    chain.transform_points(points, bodies, Ts, carried)
-    np.testing.assert_allclose(
-        carried, [se3.apply(Ts[i], p[None])[0] for i, p in zip(bodies, points, strict=True)]
-    )
 
 
 def assert_jacobians_are_derivatives(hand, positions, points_tip, step=1e-5):

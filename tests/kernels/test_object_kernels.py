@@ -122,24 +122,6 @@ def test_winding_numbers_of_meshes_are_sums_of_solid_angles(name, rng):
     np.testing.assert_allclose(winding.at(points), expected, rtol=0, atol=1e-9)
 
 
-def test_winding_numbers_of_a_large_mesh_are_sums_over_patches(rng):
-    """Where most patches are far."""
-    winding = Winding.of_mesh(triangles(*divided(*bumpy(), 2)))
-    points = rng.uniform(-0.08, 0.08, (500, 3))
-    expected = oracle.winding(points, winding.patches, winding.elements)
-    np.testing.assert_allclose(winding.at(points), expected, rtol=0, atol=1e-9)
-    assert set(winding.at(points).round(1)) == {0.0, 1.0}
-
-
-def test_winding_numbers_of_clouds_are_sums_of_dipoles(rng):
-    model = ObjectModel.cylinder(0.03, 0.1)
-    points, normals = model.sample(3000)
-    winding = Winding(points, normals * model.area / 3000)
-    asked = np.vstack([rng.uniform(-0.08, 0.08, (400, 3)), points[:20], [[5.0, 0, 0]]])
-    expected = oracle.winding(asked, winding.patches, winding.elements)
-    np.testing.assert_allclose(winding.at(asked), expected, rtol=0, atol=1e-9)
-
-
 def test_several_threads_at_once_are_answered_as_one_is(rng):
     mesh = triangles(*divided(*bumpy(), 1))
     search, winding = ClosestPointSearch(mesh), Winding.of_mesh(mesh)

@@ -10,22 +10,6 @@ from testbed.refusals import refused
 SIZE = np.array([0.06, 0.09, 0.14])
 
 
-def sign_is_right(model, size, rng, distance=None):
-    points = rng.uniform(-0.6, 0.6, (20_000, 3)) * size
-    outward = (np.abs(points) - size / 2).max(axis=1)
-    clear = np.abs(outward) > 1.2 * (model.fine.cell if distance is None else distance)
-    for fine in (True, False):
-        if not fine:
-            clear = np.abs(outward) > 1.2 * model.coarse.cell
-        np.testing.assert_array_equal(
-            model.evaluate(points, fine=fine).distance[clear] < 0, outward[clear] < 0
-        )
-
-
-def test_signs_are_right_around_edges_and_corners(rng):
-    sign_is_right(ObjectModel.from_mesh(*box_mesh(SIZE)), SIZE, rng)
-
-
 def test_signs_are_right_around_a_sharp_wedge(rng):
     vertices, faces = prism(3, radius=0.03)
     vertices[:, 0] *= 4

@@ -221,6 +221,7 @@ BROKEN = {
     "before.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n",
     "word.obj": b"v 0 0 0\nv 1 x 0\nv 0 1 0\nf 1 2 3\n",
     "huge.ply": CLOUDS["cloud.ply"].replace(b"vertex 200", b"vertex %d" % HUGE),
+    "digits.ply": CLOUDS["cloud.ply"].replace(b"vertex 200", b"vertex 1" + b"0" * 17),
     "less.ply": CLOUDS["cloud.ply"].replace(b"vertex 200", b"vertex -5"),
     "word.ply": CLOUDS["cloud.ply"][:-20] + b"x" + CLOUDS["cloud.ply"][-19:],
     "header.ply": b"ply\n",
@@ -230,9 +231,11 @@ BROKEN = {
     "counts.off": b"OFF\n",
     "huge.off": MESHES["box.off"].replace(b"8 12", b"%d 12" % HUGE),
     "word.off": MESHES["quads.off"].replace(b"4 0 1 3 2", b"4 0 x 3 2"),
+    "beyond.off": MESHES["quads.off"].replace(b"4 0 1 3 2", b"4 0 8 3 2"),
     "corners.off": MESHES["quads.off"].replace(b"4 0 1 3 2", b"9 0 1 3 2"),
     "ragged.xyz": b"1 2 3\n1 2\n",
     "four.xyz": b"1 2 3 4\n",
+    "long.xyz": b"0" * 2_200_000,
     "words.xyz": b"a b c\n",
     "comment.xyz": b"# nothing\n",
     "huge.glb": glb_of(TRIANGLE | {"accessors": ACCESSORS}),
@@ -324,7 +327,13 @@ def test_a_mesh_under_a_wrong_extension_is_refused(tmp_path):
 
 def test_the_message_for_a_file_without_a_surface_begins_with_its_name(tmp_path):
     flat = b"OFF\n3 1 0\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n"
-    for name, data in (("flat.off", flat), ("few.xyz", b"0 0 0\n1 0 0\n0 1 0\n")):
+    quads = MESHES["quads.obj"]
+    for name, data in (
+        ("flat.off", flat),
+        ("few.xyz", b"0 0 0\n1 0 0\n0 1 0\n"),
+        ("nan.obj", quads.replace(b"-30", b"nan")),
+        ("far.obj", quads.replace(b"-30", b"1e300", 1)),
+    ):
         with pytest.raises(InvalidObject) as caught:
             ObjectModel.from_file(saved(tmp_path, name, data))
         assert str(caught.value).startswith(f"{name}: ")

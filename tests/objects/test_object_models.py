@@ -1,5 +1,4 @@
 import dataclasses
-import warnings
 
 import numpy as np
 import pytest
@@ -102,15 +101,6 @@ def test_the_same_seed_draws_the_same_samples(models):
     np.testing.assert_array_equal(again.points_object, model.points_object)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_fields_are_negative_inside_and_positive_outside(models, kind):
-    for fine in (True, False):
-        inner = models[kind].evaluate(np.zeros((1, 3)), fine=fine).distance
-        outer = models[kind].evaluate(np.full((1, 3), 0.08), fine=fine).distance
-        assert inner < -0.02
-        assert outer > 0.02
-
-
 def test_a_mesh_of_a_box_agrees_with_the_exact_box(models, rng):
     points = rng.uniform(-0.08, 0.08, (3000, 3))
     exact, grid = models["box"].evaluate(points), models["mesh"].evaluate(points)
@@ -187,9 +177,3 @@ def test_a_likely_wrong_unit_warns_with_the_likely_factor(extent, message):
     with pytest.warns(ObjectWarning):
         model = ObjectModel.box((extent, extent / 2, extent / 2))
     assert any(remark.startswith("largest extent") for remark in model.remarks)
-
-
-def test_an_ordinary_object_is_built_without_a_warning():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert ObjectModel.box(SIZE).remarks == ()

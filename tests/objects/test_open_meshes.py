@@ -6,10 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handsight.objects import ObjectModel, Triangles
-from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.meshes.mesh_geometry import holes_of, rim_of
-from handsight.objects.meshes.repair import repaired
-from objects.object_shapes import box_mesh, divided, holed_box, prism, triangles
+from objects.object_shapes import box_mesh, divided, prism
 from oracles import meshes as oracle
 
 CELLS = 1.0
@@ -145,18 +142,6 @@ def test_the_distance_behind_an_open_wall_is_that_to_the_wall():
     np.testing.assert_allclose(model.evaluate(behind).distance, behind[:, 2], atol=0.02 * model.coarse.cell)
 
 
-def test_around_the_rim_the_sign_jumps_and_the_distance_does_not():
-    vertices = np.array([(-0.05, -0.03, 0), (0.05, -0.03, 0), (0.05, 0.03, 0), (-0.05, 0.03, 0)])
-    model = ObjectModel.from_mesh(vertices, [(0, 1, 2), (0, 2, 3)])
-    turn = np.linspace(0, 2 * np.pi, 5000)
-    for cells in (1.5, 3.0, 8.0):
-        reach = cells * model.fine.cell
-        path = np.column_stack([0.05 + reach * np.cos(turn), 0 * turn, reach * np.sin(turn)])
-        distance = model.evaluate(path[path[:, 0] > 0.05 - 0.9 * reach]).distance
-        assert np.abs(np.diff(np.abs(distance))).max() < 0.02 * reach
-        assert np.abs(distance).min() > 0.2 * reach
-
-
 @pytest.mark.parametrize("side", [1, -1])
 def test_near_its_sheet_an_open_mesh_has_the_field_of_the_closed_one(side, rng):
     """Distance, normal and curvature of a can without lids, three cells from its rims."""
@@ -171,17 +156,6 @@ def test_near_its_sheet_an_open_mesh_has_the_field_of_the_closed_one(side, rng):
     for open_one, whole in zip(tube.evaluate(points), can.evaluate(points), strict=True):
         scale = 1 + np.abs(whole).max()
         np.testing.assert_allclose(open_one / scale, whole / scale, atol=0.03)
-
-
-def test_a_slit_is_no_rim_and_a_hole_is_one():
-    vertices, faces = holed_box()
-    mesh, tree, _ = repaired(triangles(*with_vertices_on_edges(vertices, faces, np.random.default_rng(0))))
-    winding = Winding.of_mesh(mesh, tree)
-    (hole,) = holes_of(mesh, rim_of(mesh, winding, 0.0025))[1]
-    uncut = triangles(vertices, faces)
-    (whole,) = holes_of(uncut, uncut.edges.counts == 1)[1]
-    assert hole == pytest.approx(whole, abs=1e-9)
-    assert len(holes_of(mesh, mesh.edges.counts == 1)[1]) > 1
 
 
 def test_a_closed_and_an_open_shell_together_are_open_and_keep_both_surfaces(rng):

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handsight._kernels.mesh.winding import FAR_PATCH, FAR_TRIANGLE
 from handsight.checks import Array, Indices
@@ -113,64 +112,3 @@ def solid_angles(corners: Array) -> Array:
     volume = dot(a, np.cross(b, c))
     ab, bc, ca = (dot(u, v) for u, v in ((a, b), (b, c), (c, a)))
     return np.asarray(2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb))
-
-
-def linked(
-    index: Indices, shape: tuple[int, int, int], distance: Array, free: NDArray[np.bool_], limit: float
-) -> Indices:
-    """(n,) the set of each node of a grid: free neighbours whose distances add up to more than the limit."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(index)
-    local = np.full(int(np.prod(shape)), -1, dtype=np.int64)
-    local[index] = np.arange(n)
-    cube = local.reshape(shape)
-    rows, columns = [], []
-    for axis in range(3):
-        low = np.take(cube, range(shape[axis] - 1), axis=axis).reshape(-1)
-        high = np.take(cube, range(1, shape[axis]), axis=axis).reshape(-1)
-        both = (low >= 0) & (high >= 0)
-        low, high = low[both], high[both]
-        link = (distance[low] + distance[high] > limit) & free[low] & free[high]
-        rows.append(low[link])
-        columns.append(high[link])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def spread_out(features: Array, n: int, steps: int) -> Array:
-    """(n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
-    from scipy.spatial import cKDTree
-
-    chosen = features[_farthest(features, n)]
-    for _ in range(steps):
-        owner = cKDTree(chosen).query(features)[1]
-        count = np.bincount(owner, minlength=n)
-        kept = np.flatnonzero(count)
-        sums = np.stack([np.bincount(owner, f, minlength=n) for f in features.T], axis=1)
-        chosen[kept] = sums[kept] / count[kept, None]
-    return chosen
-
-
-def snapped(features: Array, middles: Array) -> Indices:
-    """(n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
-    index = np.empty(len(middles), dtype=np.int64)
-    for k, middle in enumerate(middles):
-        gap2 = ((features - middle) ** 2).sum(axis=1)
-        gap2[index[:k]] = np.inf
-        index[k] = gap2.argmin()
-    return index
-
-
-def _farthest(features: Array, n: int) -> Indices:
-    """Indices of n rows, each the farthest from those before it; the first from the middle."""
-    middle = features.mean(axis=0)
-    index = np.empty(n, dtype=np.int64)
-    index[0] = ((features - middle) ** 2).sum(axis=1).argmax()
-    gap = ((features - features[index[0]]) ** 2).sum(axis=1)
-    for k in range(1, n):
-        index[k] = gap.argmax()
-        gap = np.minimum(gap, ((features - features[index[k]]) ** 2).sum(axis=1))
-    return index

@@ -5,7 +5,8 @@ from scipy.spatial.transform import RigidTransform
 
 from handsight import se3
 
-SLIDE, HINGE = 2, 3
+SLIDE = 2
+"""MuJoCo's number of a joint that slides; the others are hinges."""
 
 
 def poses_in_world(model, positions):

@@ -127,7 +127,7 @@ def medians(rig, grasp, seed):
 def test_a_recording_of_the_motors_is_tracked_as_well_as_one_of_all_joints(tmp_path, monkeypatch, capsys):
     file = data_file(INSPIRE)
     assert called(monkeypatch, tmp_path, "rig", "new", str(file), "-o", "new.rig.yaml") == 0
-    simulated = ("simulate", "box", "--rig", "new.rig.yaml", "--motion", "weigh", "-o", "box.mcap")
+    simulated = ("simulate", "box", "--rig", "new.rig.yaml", "--motion", "grasp", "-o", "box.mcap")
     assert called(monkeypatch, tmp_path, *simulated) == 0
     rig = hs.Rig.from_file(tmp_path / "box.rig.yaml")
     with Recording(tmp_path / "box.mcap", rig) as recording:

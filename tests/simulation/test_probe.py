@@ -9,10 +9,9 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
-from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
+from handsight.simulation import Nuisances, Scenario, model_of
 from handsight.simulation.touch_search import TABLE_PROBES, start_search
 from simulation.simulated import NONE
 from testbed.refusals import refused
@@ -49,15 +48,6 @@ def test_a_contact_is_on_the_object_and_the_free_positions_are_outside():
         assert np.ptp(passed.free_world[:, 2]) < 1e-3
 
 
-def test_the_same_seed_gives_the_same_object_pose_and_touches():
-    scenario = Scenario(object="can", seed=3)
-    felt = []
-    for _ in range(2):
-        probe, _ = start_search(scenario, model_of(scenario))
-        felt.append(probe.touch(towards(probe)).contact_world.points_palm)
-    assert (felt[0] == felt[1]).all()
-
-
 def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch):
     scenario = Scenario(object="can", seed=1, nuisances=NONE)
     probe, _ = start_search(scenario, model_of(scenario))
@@ -73,40 +63,26 @@ def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch)
         probe.measure_table([3.0, 3.0])
 
 
-def test_the_tables_tilt_is_measured():
-    """Within half a degree, with all usual nuisances and the table 2.3° off."""
-    scenario = Scenario(object="can", seed=0)
-    probe, belief = start_search(scenario, model_of(scenario))
-    upright, measured = probe.T_world_object[:3, 2], belief.area.R_world_table[:, 2]
-    assert upright[2] < np.cos(np.deg2rad(2))
-    assert upright @ measured > np.cos(np.deg2rad(0.5))
+def test_a_seed_says_where_the_object_is_and_what_is_felt_and_the_tables_tilt_is_measured():
+    """Within half a degree, with all usual nuisances and the table 2.3° off; another size of one moves no object."""
+    felt, placed = [], []
+    for nuisances in (Nuisances(), Nuisances(), dataclasses.replace(Nuisances(), force_noise=0.02)):
+        scenario = Scenario(object="can", seed=0, nuisances=nuisances)
+        probe, belief = start_search(scenario, model_of(scenario))
+        placed.append(probe.T_world_object)
+        felt.append(probe.touch(towards(probe)).contact_world.points_palm)
+        upright, measured = placed[0][:3, 2], belief.area.R_world_table[:, 2]
+        assert upright[2] < np.cos(np.deg2rad(2))
+        assert upright @ measured > np.cos(np.deg2rad(0.5))
+    assert (placed[0] == placed[1]).all()
+    assert (placed[0] == placed[2]).all()
+    assert (felt[0] == felt[1]).all()
 
 
 def test_an_object_larger_than_the_searched_area_is_rejected():
     scenario = Scenario(object="can")
     with refused(InvalidInput, "object"):
         start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
-
-
-@pytest.mark.slow
-def test_a_can_found_gripped_and_weighed_is_at_its_estimated_pose():
-    """Nothing of a camera in any sample but the pose that the search has found, once."""
-    scenario = Scenario(object="can", seed=0, motion="weigh")
-    rig = touch_search_rig(scenario)
-    model = rig.objects["can"].model()
-    tracker, poses, last = hs.Tracker(rig, model), 0, None
-    for sample in simulate_touch_search(scenario):
-        observation = sample.observation
-        assert observation.color is None
-        assert last is None or observation.stamp > last
-        poses, last = poses + (observation.vision is not None), observation.stamp
-        estimate = tracker.update(observation)
-        assert (estimate is None) == (poses == 0)
-    assert poses == 1
-    shift, turn = pose_distances(model, sample.T_palm_object[None], estimate.T_palm_object)
-    assert shift[0] < 3e-3
-    assert turn[0] < np.deg2rad(4)
-    assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
 
 
 BLIND = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
@@ -133,13 +109,3 @@ def test_a_search_tells_what_is_open_where_its_touches_are_too_few(tmp_path, mon
     assert called(monkeypatch, tmp_path, *BLIND) == 1
     message = "the object was not found by 0 touches: "
     assert message in capsys.readouterr().err
-
-
-def test_nuisances_of_a_blind_search_are_those_of_any_other():
-    """Another size of one error does not move the object."""
-    noisy = dataclasses.replace(Nuisances(), force_noise=0.02)
-    placed = [
-        start_search(Scenario(object="can", seed=5, nuisances=n), model_of(Scenario()))[0].T_world_object
-        for n in (Nuisances(), noisy)
-    ]
-    assert (placed[0] == placed[1]).all()

@@ -59,7 +59,7 @@ def test_white_noise_of_vision_has_the_stated_sigma():
 
 
 def test_poses_come_ten_times_a_second_and_images_thirty_times():
-    run = list(simulate(Scenario(rate=50.0, nuisances=NONE)))
+    run = samples(rate=50.0)
     seen = [s.observation.stamp for s in run if s.observation.vision is not None]
     np.testing.assert_allclose(np.diff(seen), 0.1, atol=1e-9)
     stream, stamps = simulate(Scenario(rate=50.0, images=True, nuisances=NONE)), []

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import handsight as hs
 from handsight import se3
 from handsight.tracking import FingertipSensors
 
@@ -34,45 +33,10 @@ def test_one_degree_of_every_joint_is_in_each_contacts_covariance(can):
         assert 0.5e-3 < np.sqrt(np.trace(added) / 3) < 3e-3
 
 
-def test_contacts_of_tips_near_each_other_are_less_certain(can):
-    sensors, last = FingertipSensors(can.rig), can.held[-1]
-    felt = sensors.contacts(last)
-    joints = dict(last.joint_positions)
-    assert {"ff", "mf"} <= set(felt.fingers)
-    # The forefinger's spread and bend are made the middle finger's, tilted towards it.
-    for joint in ("J2", "J1", "J0"):
-        joints[f"robot0:FF{joint}"] = joints[f"robot0:MF{joint}"]
-    joints["robot0:FFJ3"], joints["robot0:MFJ3"] = -0.1, 0.1
-    touching = sensors.contacts(replace(last, joint_positions=joints))
-    assert touching.fingers == felt.fingers
-    for i, finger in enumerate(felt.fingers):
-        C, alone = touching.contacts.covariance[i], felt.contacts.covariance[i]
-        if finger in ("ff", "mf"):
-            assert np.sqrt(C[0, 0] + C[1, 1] + C[2, 2]) > 2e-3 * np.sqrt(3 / 2)
-            assert np.trace(C) > 1.5 * np.trace(alone)
-        elif finger == "th":
-            np.testing.assert_allclose(C, alone, rtol=0, atol=1e-3 * np.abs(alone).max())
-
-
 def test_there_is_no_contact_without_joint_positions(can):
     felt = FingertipSensors(can.rig).contacts(replace(can.held[-1], joint_positions=None))
     assert felt.contacts is None
     assert set(felt.reasons.values()) == {"no joint positions"}
-
-
-def test_contacts_are_those_of_compensated_wrenches_at_the_tips(can):
-    sensors, last = FingertipSensors(can.rig), can.held[-1]
-    felt = sensors.contacts(last)
-    Ts = dict(zip(can.rig.hand.tips, can.rig.hand.Ts_palm_tip(last.joint_positions), strict=True))
-    for i, name in enumerate(felt.fingers):
-        finger = can.rig.fingers[name]
-        T = Ts[name] @ finger.T_frame_surface
-        R = last.T_world_palm[:3, :3] @ T[:3, :3] @ finger.tip.T_surface_sensor[:3, :3]
-        raw = last.wrenches[name]
-        load = hs.contact.compensate(raw[:3], raw[3:], R.T @ can.rig.gravity, finger.calibration)
-        contact = hs.contact_from_wrench(*load, finger.tip).moved(T)
-        np.testing.assert_allclose(felt.contacts.points_palm[i], contact.point, atol=1e-12)
-        np.testing.assert_allclose(felt.contacts.normals_palm[i], contact.normal, atol=1e-10)
 
 
 def test_without_gravity_the_tips_weight_is_not_subtracted_and_a_silent_sensor_is_reported(can):

@@ -9,7 +9,6 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.correction import Conflict, PoseEstimate, PosePrior
-from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.misfit import NOISE_FREEDOM, TOUCH, WINDOW, Innovations, Misfit
 
 
@@ -92,28 +91,3 @@ def test_the_region_holds_where_the_declared_sigma_of_touch_is_an_estimate_of_fo
     spin = np.diag([1.0, 1, 1, 1, 1, 0]) @ information
     free = estimate.with_gaussian(np.eye(4), None, spin)
     assert not watched.covered(model, free, prior).information[5].any()
-
-
-@pytest.mark.parametrize("radius", [0.026, 0.040])
-def test_a_can_with_a_wrong_radius_is_not_tracked_in_silence(can, radius):
-    tracker = Tracker(can.rig, hs.ObjectModel.cylinder(radius, 0.122))
-    for seen in can.observations:
-        tracker.update(seen)
-    assert tracker.state != "tracking"
-    assert tracker.reason
-
-
-def test_the_right_model_is_tracked(can):
-    tracker = Tracker(can.rig, can.model, settings=TrackerSettings(uncertain_position=0.015))
-    for seen in can.observations:
-        tracker.update(seen)
-    assert tracker.state == "tracking", tracker.reason
-
-
-def test_another_object_is_suspected(can):
-    tracker = Tracker(can.rig, hs.ObjectModel.box([0.06, 0.09, 0.14]))
-    reasons = []
-    for seen in can.observations:
-        tracker.update(seen)
-        reasons.append(tracker.reason)
-    assert any("another object" in reason for reason in reasons)

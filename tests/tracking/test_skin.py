@@ -8,7 +8,6 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Scenario, model_of, rig_of
 from handsight.tracking import SkinContacts, SkinSensors
 from testbed.refusals import refused
@@ -42,18 +41,6 @@ def test_a_tactile_array_improves_the_trackers_pose(grasp):
     assert errors[1] < 3e-3
     assert errors[1] < errors[0] / 3
     assert tracker.skin.pressed
-
-
-def test_readings_are_the_same_after_a_recording(grasp, tmp_path):
-    with RecordingWriter(tmp_path / "skin.mcap", RIG) as writer:
-        for sample in grasp:
-            writer.write(replace(sample.observation, stamp=1000 + sample.observation.stamp))
-    with open_recording(tmp_path / "skin.mcap", RIG) as recording:
-        heard = list(recording.observations())
-    assert len(heard) == len(grasp)
-    assert recording.report.topics["/palm/taxels"].used == len(grasp)
-    for observation, sample in zip(heard, grasp, strict=True):
-        np.testing.assert_allclose(observation.skin["palm"], sample.observation.skin["palm"], atol=1e-6)
 
 
 def test_offsets_and_dead_taxels_are_learnt_before_the_first_touch():

@@ -17,6 +17,7 @@ K = [[FX, 0, CX], [0, FY, CY], [0, 0, 1]]
 FLAT = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
 COLUMNS = [FX, 0, 0, 0, FY, 0, CX, CY, 1]
 PLUMB_BOB = [0.1, -0.2, 1e-3, 2e-3, 0.05]
+RATIONAL = [0.4, -2.5, 5e-4, -3e-4, 1.5, 0.3, -2.3, 1.4]
 SIDES = {"width": WIDTH, "height": HEIGHT}
 FOCAL = {"fx": FX, "fy": FY, "cx": CX, "cy": CY}
 ROS = f"""
@@ -73,6 +74,7 @@ WITHOUT_SIZE = {
 }
 WITH_SIZE = {
     "handsight.json": FOCAL | SIDES | {"lens": PLUMB_BOB},
+    "rational.json": FOCAL | SIDES | {"lens": RATIONAL},
     "bop_camera.json": FOCAL | SIDES | {"depth_scale": 0.1},
     "open3d.json": SIDES | {"intrinsic_matrix": COLUMNS},
     "open3d_view.json": {"class_name": "PinholeCameraParameters", "intrinsic": SIDES | {"intrinsic_matrix": COLUMNS}, "extrinsic": [1.0] * 16},
@@ -86,7 +88,7 @@ WITH_SIZE = {
     "with_mark.json": "\ufeff" + json.dumps(FOCAL | SIDES),
 }  # fmt: skip
 LENSES = dict.fromkeys(("handsight.json", "realsense.json", "calibration.yaml", "opencv.yaml"), PLUMB_BOB)
-LENSES |= {"nerf.json": PLUMB_BOB[:4], "kalibr.yaml": PLUMB_BOB[:4]}
+LENSES |= {"rational.json": RATIONAL, "nerf.json": PLUMB_BOB[:4], "kalibr.yaml": PLUMB_BOB[:4]}
 
 
 def written(folder, name, content):
@@ -147,6 +149,11 @@ def test_of_several_cameras_the_image_s_is_taken_or_one_is_asked_for(tmp_path):
     ("content", "field"),
     [
         ({"name": "d435"}, "a.json"),
+        (FOCAL | SIDES | {"fx": "300"}, "fx"),
+        (FOCAL | SIDES | {"fx": -1}, "matrix"),
+        (FOCAL | SIDES | {"width": 640.5}, "width"),
+        (FOCAL | SIDES | {"lens": [0.1, 0.2]}, "lens"),
+        (FOCAL | SIDES | {"cx": 1e400}, "a.json"),
         ([1, 2], "a.json"),
         ("1 2 3\n4 5 6", "matrix"),
         ("1 0 2 0 1 2 0 0", "matrix"),

@@ -13,7 +13,7 @@ from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, UNKNOWN, candidates_at, pose_covariances, poses_of
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import first_pose, log_odds, places_of
+from handsight.vision.object.first_pose import first_pose
 from handsight.vision.object.region import scene_of, table_plane
 from testbed.sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
@@ -159,12 +159,6 @@ def test_an_object_beside_another_is_found_without_a_guess():
     assert sum(right) >= 19
 
 
-def test_where_nothing_is_there_is_no_pose():
-    depth = np.zeros((240, 320), np.float32)
-    scene = scene_of(CAMERA, depth, wanted=np.ones(depth.shape, bool))
-    assert first_pose(model(), scene).Ts_camera_object.shape == (0, 4, 4)
-
-
 BRICK = (0.09, 0.055, 0.035)
 
 
@@ -207,16 +201,3 @@ def test_what_is_out_of_the_image_is_no_evidence():
         pose_score.NOT_ASKED,
     )
     assert 0.4 < candidates["expected"][1] / candidates["expected"][0] < 1
-
-
-def test_modes_are_in_order_of_their_places_and_these_of_their_odds():
-    """The first place is the most probable one, and weights decrease."""
-    T, depth, _ = touching(1)
-    model = hs.ObjectModel.box(BRICK)
-    found = first_pose(model, scene_of(CAMERA, depth, extent=1.5 * model.diameter))
-    places, odds = places_of(model, found.candidates), log_odds(found.candidates)
-    best = np.array([odds[places == place].max() for place in range(places.max() + 1)])
-    assert (np.diff(found.weights) <= 0).all()
-    assert found.weights.sum() == pytest.approx(1)
-    assert best.argmax() == 0
-    assert found.probability == pytest.approx(1 / (1 + np.exp(-best[0])))

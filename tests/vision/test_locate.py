@@ -79,13 +79,6 @@ def test_where_nothing_is_it_is_nowhere(case):
     assert reason in answer.reason
 
 
-def test_on_an_empty_table_it_is_nowhere():
-    _, depth = picture(None)
-    found = locate(models()["letter"], depth, CAMERA)
-    assert len(found.weights) == 0
-    assert found.reason
-
-
 @pytest.mark.parametrize(("there", "wanted"), [("tin", "letter"), ("tin", "brick")])
 def test_another_object_is_not_it(there, wanted):
     """Rather none than another of the same height, and nowhere if it is of another one."""

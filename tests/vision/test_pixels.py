@@ -46,16 +46,6 @@ def test_colour_is_red_green_blue(tmp_path, name):
     np.testing.assert_array_equal(read_color(grey), np.full((4, 4, 3), 9))
 
 
-@pytest.mark.parametrize(
-    "lens", [[], [-0.2, 0.05, 1e-4, 2e-4], [0.4, -2.5, 5e-4, -3e-4, 1.5, 0.3, -2.3, 1.4]]
-)
-def test_a_camera_has_the_numbers_of_its_file(tmp_path, lens):
-    camera = read_camera(saved(tmp_path, INTRINSICS | ({"lens": lens} if lens else {}), "camera.json"))
-    np.testing.assert_array_equal(camera.matrix, CAMERA.matrix)
-    np.testing.assert_array_equal(camera.lens, lens)
-    assert camera.size == (5, 6)
-
-
 def png(pixels, folder):
     return saved(folder, pixels, "whole.png").read_bytes()
 
@@ -100,27 +90,6 @@ def test_an_image_that_was_cut_is_none_unless_all_its_pixels_are_there(tmp_path)
 def test_a_scale_that_is_none_is_refused(tmp_path, scale):
     with refused(InvalidInput, "scale"):
         read_depth(saved(tmp_path, STEPS), scale)
-
-
-@pytest.mark.parametrize(
-    ("content", "field"),
-    [
-        (b"[1", "camera.json"),
-        (b"[1]", "camera.json"),
-        ({k: v for k, v in INTRINSICS.items() if k != "fx"}, "fx"),
-        (INTRINSICS | {"fx": "300"}, "fx"),
-        (INTRINSICS | {"fx": -1}, "matrix"),
-        (INTRINSICS | {"width": 640.5}, "width"),
-        (INTRINSICS | {"lenses": []}, "lenses"),
-        (INTRINSICS | {"lens": [0.1, 0.2]}, "lens"),
-        (INTRINSICS | {"cx": 1e400}, "camera.json"),
-        (INTRINSICS | {"width": 40_000_000, "height": 40_000_000}, "size"),
-    ],
-)
-def test_what_is_no_camera_file_is_refused_by_its_field(tmp_path, content, field):
-    path = saved(tmp_path, content, "camera.json")
-    with refused(InvalidFile, field):
-        read_camera(path)
 
 
 def test_a_file_that_is_not_there_is_said(tmp_path):

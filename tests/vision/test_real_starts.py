@@ -17,11 +17,11 @@ if not DATA.is_dir():
 pytest.importorskip("PIL.Image", reason="PNG files come with handsight[robot]")
 
 
-@pytest.mark.parametrize("most", [1, pytest.param(5, marks=pytest.mark.slow)])
-def test_a_start_a_few_millimetres_off_is_the_answer_and_wrong_ones_are_not(most):
+@pytest.mark.slow
+def test_a_start_a_few_millimetres_off_is_the_answer_and_wrong_ones_are_not():
     """In the object's mask; 3 degrees off too; wrong ones are 6 cm off, and where a neighbour is."""
     frames, rng, rows = real_frames.open_folder(DATA), np.random.default_rng(0), []
-    for read in frames.some(most):
+    for read in frames.some(5):
         frame = read()
         for one in frame.instances:
             model, T = frames.models[one.name], one.T_camera_object
@@ -36,7 +36,7 @@ def test_a_start_a_few_millimetres_off_is_the_answer_and_wrong_ones_are_not(most
             errors = [real_frames.add_s(model, T, each) for each in found.Ts_camera_object[:1]]
             rows.append((len(errors), sum(error > 0.1 for error in errors)))
     answered, wrong = np.array(rows, float).T
-    assert len(rows) >= 10
+    assert len(rows) >= 50
     assert answered.mean() > 0.8
     assert wrong.sum() == 0
 
