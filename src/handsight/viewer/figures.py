@@ -64,7 +64,12 @@ def save(figure: "Figure", path: Path) -> None:
         labelled |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     handles = list(labelled.values())
     labels = list(labelled)
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 7))
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=min(len(labels), 7 if len(max(labels, key=len)) < 15 else 4),
+    )
     with write_errors(path):
         try:
             figure.savefig(path, dpi=130)
@@ -87,6 +92,7 @@ def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
     """Draws a problem and its answer in the palm's frame [mm]."""
     model = panel.model
     answer = panel.answer
+    axes.computed_zorder = False  # contacts and arrows are drawn over the objects
     T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
     if panel.vision is not None:
         _draw_object(axes, model, panel.vision.T_palm_object, "grey", "vision")
@@ -108,6 +114,8 @@ def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
     axes.set(xlabel="palm x [mm]", ylabel="palm y [mm]", zlabel="palm z [mm]")
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.labelpad = 10
     fit = "fits" if answer["consistent"] else "does NOT fit"
     axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}")
 
@@ -165,7 +173,8 @@ def _draw_poses(axes: "Axes", found: "Sequence[Located]") -> Depth:
         depths.append(depth)
         if np.isfinite(depth).any():
             axes.contour(np.isfinite(depth), [0.5], colors=[color])
-        axes.plot([], [], color=color, label=f"{each.model.name or 'object'} {each.found.probability:.2f}")
+        name = each.model.name or "object"
+        axes.plot([], [], color=color, label=f"{name}, probability {each.found.probability:.2f}")
     nearest: Depth = np.min(depths, axis=0)
     return nearest
 

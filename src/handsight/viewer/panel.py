@@ -58,7 +58,7 @@ class Panel:
         plain = {"ticks": {"show": False}, "labelSize": 18}
         axes = (
             {"label": "time [s]", "size": 30} | plain,
-            {"label": "error and σ of the position [mm]"} | plain,
+            {"label": "position: error, σ [mm]"} | plain,
         )
         style = {"scales": scales, "axes": axes, "height": 240, "padding": (12, 16, 0, 0), "order": 30}
         self.curves: Any = gui.add_uplot((np.zeros(1),) * len(series), tuple(series), **style, visible=False)
