@@ -247,22 +247,6 @@ def player(viser, tracked, free_port):
 
 
 @pytest.fixture
-def players(viser, monkeypatch):
-    """The pages of viewers, newest last."""
-    from handsight.viewer import live_viewer
-
-    made = []
-
-    class Kept(live_viewer.Player):
-        def __init__(self, *given, **options):
-            super().__init__(*given, **options)
-            made.append(self)
-
-    monkeypatch.setattr(live_viewer, "Player", Kept)
-    return made
-
-
-@pytest.fixture
 def watched(viser, monkeypatch):
     """Somebody looks at every page."""
     from handsight.viewer.player import Player

@@ -119,7 +119,7 @@ def test_gravity_is_down_in_the_palms_frame_at_every_moment(player, tracked):
     assert (player.scene.world.visible, player.scene.axes.visible) == (False, True)
 
 
-def test_nothing_is_drawn_while_no_browser_is_open(player, players, tracked, free_port, monkeypatch):
+def test_nothing_is_drawn_while_no_browser_is_open(player, tracked, free_port, monkeypatch):
     drawn = []
     monkeypatch.setattr(type(player), "draw", lambda *_: drawn.append(1))
     monkeypatch.setattr("handsight.viewer.moment.Timeline.add", lambda *_: drawn.append(1))
@@ -128,64 +128,62 @@ def test_nothing_is_drawn_while_no_browser_is_open(player, players, tracked, fre
     player.start()
     tracker = Tracker(tracked.rig, tracked.model)
     with Viewer(tracker, port=free_port) as viewer:
-        of_viewer = messages(players[-1])
+        of_viewer = messages(viewer)
         for observation in tracked.observations[:50]:
             tracker.update(observation)
             viewer.update(tracker)
         time.sleep(0.3)
-        assert messages(players[-1]) == of_viewer
+        assert messages(viewer) == of_viewer
     assert not drawn
     assert messages(player) == before
     assert player.time == 0.0
 
 
-def test_the_newest_answer_is_shown_however_fast_they_come(tracked, players, free_port, watched):
+def test_the_newest_answer_is_shown_however_fast_they_come(tracked, viser, free_port, watched):
     tracker, told = Tracker(tracked.rig, tracked.model), []
     with view(tracker, port=free_port, say=told.append) as viewer:
         assert told == [f"handsight: look at {viewer.address}"]
         for observation in tracked.observations[:60]:
             tracker.update(observation)
             viewer.update(tracker)
-        (shown,) = players
-        until(lambda: shown.last is not None and shown.last.stamp == tracker.stamp)
-        until(lambda: np.allclose(pose(shown.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
+        until(lambda: viewer.last is not None and viewer.last.stamp == tracker.stamp)
+        until(lambda: np.allclose(pose(viewer.scene.object), tracker.estimate.T_palm_object, atol=1e-9))
         # One that comes late changes nothing, whatever is in it.
         late = dataclasses.replace(
             tracked.observations[5], wrenches={"th": np.full(6, np.nan)}, depth=np.zeros((2, 2))
         )
         tracker.update(late)
         viewer.update(tracker)
-        assert shown.last.picture is None
+        assert viewer.last.picture is None
         other = Tracker(tracked.rig, ObjectModel.box([0.05, 0.05, 0.1]))
         other.update(tracked.observations[0])
         viewer.update(other)
-        until(lambda: shown.timeline.model is other.model and shown.last is not None)
-        assert shown.last.stamp == other.stamp
+        until(lambda: viewer.timeline.model is other.model and viewer.last is not None)
+        assert viewer.last.stamp == other.stamp
 
 
-def test_a_running_tracker_can_be_paused_and_its_past_looked_at(tracked, players, free_port, watched):
+def test_a_running_tracker_can_be_paused_and_its_past_looked_at(tracked, viser, free_port, watched):
     tracker = Tracker(tracked.rig, tracked.model)
     with view(tracker, port=free_port, say=lambda _: None) as viewer:
-        (shown,) = players
         for observation in tracked.observations[:60]:
             tracker.update(observation)
             viewer.update(tracker)
             time.sleep(0.005)
-        until(lambda: shown.last is not None and shown.last.stamp == tracker.stamp)
-        first = shown.timeline.moments[0]
-        shown.play(False)
-        shown.seek(0.0)
-        until(lambda: shown.last is first)
+        until(lambda: viewer.last is not None and viewer.last.stamp == tracker.stamp)
+        first = viewer.timeline.moments[0]
+        viewer.play(False)
+        viewer.seek(0.0)
+        until(lambda: viewer.last is first)
         for observation in tracked.observations[60:]:
             tracker.update(observation)
             viewer.update(tracker)
-        until(lambda: shown.timeline.moments[-1].stamp == tracker.stamp)
-        assert shown.last is first
-        shown.play(True)
-        until(lambda: shown.last.stamp == tracker.stamp)
+        until(lambda: viewer.timeline.moments[-1].stamp == tracker.stamp)
+        assert viewer.last is first
+        viewer.play(True)
+        until(lambda: viewer.last.stamp == tracker.stamp)
 
 
-def test_images_between_two_frames_are_shown(tracked, players, free_port, watched):
+def test_images_between_two_frames_are_shown(tracked, viser, free_port, watched):
     tracker = Tracker(tracked.rig, tracked.model)
     image = np.full((48, 64, 3), 200, np.uint8)
     (first, second, *_) = tracked.observations
@@ -194,21 +192,20 @@ def test_images_between_two_frames_are_shown(tracked, players, free_port, watche
         viewer.update(tracker)
         tracker.update(second)
         viewer.update(tracker)
-        (shown,) = players
-        until(lambda: shown.last is not None and shown.last.stamp == second.stamp)
-        until(lambda: shown.last.picture is not None)
-        assert "data:image/jpeg" in shown.panel.image.content
+        until(lambda: viewer.last is not None and viewer.last.stamp == second.stamp)
+        until(lambda: viewer.last.picture is not None)
+        assert "data:image/jpeg" in viewer.panel.image.content
 
 
-def test_a_nodes_tracker_is_shown_and_its_estimates_stay_the_same(players, free_port, watched):
+def test_a_nodes_tracker_is_shown_and_its_estimates_stay_the_same(viser, free_port, watched):
     messages_of_robot = said()
     alone, shown = live(equal=True), live(equal=True)  # however busy the machine is
     with view(shown.tracker, port=free_port, say=lambda _: None) as viewer:
         shown.show = viewer.update
         expected = poses(answered(alone, messages_of_robot))
         found = poses(answered(shown, messages_of_robot))
-        until(lambda: players[-1].last is not None and players[-1].last.stamp == shown.tracker.stamp)
-        place = players[-1].last.estimate.T_palm_object
+        until(lambda: viewer.last is not None and viewer.last.stamp == shown.tracker.stamp)
+        place = viewer.last.estimate.T_palm_object
         np.testing.assert_array_equal(place, shown.tracker.estimate.T_palm_object)
     assert found
     assert found.keys() == expected.keys()
@@ -236,14 +233,14 @@ def test_a_port_that_is_taken_gives_way_to_the_next(player, tracked):
         second.close()
 
 
-def test_a_page_that_is_closed_leaves_no_thread(tracked, players, free_port):
+def test_a_page_that_is_closed_leaves_no_thread(tracked, viser, free_port):
     before = {thread.name for thread in threading.enumerate()}
     with Viewer(Tracker(tracked.rig, tracked.model), port=free_port):
         pass
     until(lambda: {thread.name for thread in threading.enumerate()} - before <= {"asyncio_0"})
 
 
-def test_without_viser_one_sentence_says_what_to_install(tracked, players, monkeypatch):
+def test_without_viser_one_sentence_says_what_to_install(tracked, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with refused(MissingExtra, "the viewer needs viser"):
         view(Tracker(tracked.rig, tracked.model))

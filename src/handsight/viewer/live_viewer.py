@@ -28,7 +28,7 @@ def view(tracker: Tracker, *, port: int = PAGE_PORT, say: Callable[[str], None] 
     return viewer
 
 
-class Viewer:
+class Viewer(Player):
     """Shows the newest estimate of a tracker, at most 30 times a second, and the last minute when it is paused.
 
     It may be updated at any rate, draws in a thread, and does nothing while nobody watches.
@@ -36,14 +36,10 @@ class Viewer:
 
     def __init__(self, tracker: Tracker, *, port: int = PAGE_PORT) -> None:
         """See `view`."""
+        super().__init__(tracker.rig, tracker.model, port=port, title=tracker.model.name, live=True)
         self._tracker = tracker
         self._with_images: TrackState | None = None  # the newest state after images
-        self._player = Player(
-            tracker.rig, tracker.model, port=port, title=tracker.model.name, take=self._take
-        )
-        self.address = self._player.address
-        """Address of the page for a browser."""
-        self._player.start()
+        self.start()
 
     def update(self, tracker: Tracker) -> None:
         """Shows a tracker's estimate.
@@ -57,26 +53,19 @@ class Viewer:
             self._with_images = state
         self._tracker = tracker
 
-    def close(self) -> None:
-        """Ends the page."""
-        self._player.close()
-
-    def _take(self) -> None:
-        """Adds the newest state to the page's timeline."""
+    def take(self) -> None:
+        """Adds the newest state to the timeline."""
         tracker = self._tracker
         state = tracker.track_state
         images = self._with_images
-        timeline = self._player.timeline
-        if timeline.rig is not tracker.rig or timeline.model is not tracker.model:
-            self._player.begin(tracker.rig, tracker.model, tracker.model.name)
-            timeline = self._player.timeline
+        if self.timeline.rig is not tracker.rig or self.timeline.model is not tracker.model:
+            self.begin(tracker.rig, tracker.model, tracker.model.name)
             images = self._with_images = None
         if images is not None:
-            timeline.see(images)
-        if state.processed is not None and (
-            not timeline.moments or state.stamp != timeline.moments[-1].stamp
-        ):
-            timeline.add(state)
+            self.timeline.see(images)
+        moments = self.timeline.moments
+        if state.processed is not None and (not moments or state.stamp != moments[-1].stamp):
+            self.timeline.add(state)
 
     def __enter__(self) -> Self:
         return self

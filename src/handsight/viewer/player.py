@@ -5,7 +5,6 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -50,11 +49,11 @@ class Player:
         *,
         port: int = PAGE_PORT,
         title: str = "",
-        take: Callable[[], None] | None = None,
+        live: bool = False,
     ) -> None:
         """Serves the page at `port`, or at the next free one; raises MissingExtra, or HandsightError where none is.
 
-        `take`: of a running robot; adds the newest state to the timeline, and is called before each frame.
+        `live`: the newest moment is shown rather than all one after another, and the last minute is kept.
         """
         viser = require_viser()
         if not 1 <= port <= MAX_PORT:  # viser would wait for ever
@@ -71,7 +70,7 @@ class Player:
         self.port: int = self.server.get_port()  # the port at which the page is served
         self.speed = 1.0  # seconds of the recording that are played in a second
         self.playing = True
-        self._take = take
+        self._live = live
         self._growing = True
         self._closed = threading.Event()
         self._lock = threading.Lock()  # both the thread and the panel's checkboxes draw
@@ -83,7 +82,7 @@ class Player:
 
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
-        self.timeline = Timeline(rig, model, None if self._take is None else LIVE_MOMENTS)
+        self.timeline = Timeline(rig, model, LIVE_MOMENTS if self._live else None)
         self.time = 0.0  # since the timeline's origin [s]
         self.last: Moment | None = None  # the moment that is shown
         self._plotted: tuple[float, float] | None = None  # time and end of the last plot [s]
@@ -99,7 +98,7 @@ class Player:
             self._button.on_click(lambda _: self.play(not self.playing))
             self._slider = gui.add_slider("time [s]", 0, 1, step=0.01, initial_value=0, order=CONTROLS + 1)
             self._slider.on_update(self._slid)
-            if self._take is None:
+            if not self._live:
                 speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x", order=CONTROLS + 2)
                 speed.on_update(self._chosen)
 
@@ -139,6 +138,9 @@ class Player:
         with contextlib.redirect_stdout(io.StringIO()):  # viser says farewell
             self.server.stop()
 
+    def take(self) -> None:
+        """Called before each frame; may add to the timeline."""
+
     def draw(self, moment: Moment) -> None:
         """Shows a moment in place of the last one."""
         with self._lock, self.server.atomic():
@@ -159,7 +161,7 @@ class Player:
         """Goes where a person has moved the slider, which the player moves too."""
         if event.client is not None:
             self._next_plot = time.monotonic() + PLOT_PERIOD  # until then the slider is that person's
-            self.playing = self.playing and self._take is None
+            self.playing = self.playing and not self._live
             self.seek(self._slider.value)
 
     def _chosen(self, event: "GuiEvent") -> None:
@@ -175,13 +177,11 @@ class Player:
             last = now
             if not self.watched:
                 continue
-            if self._take is not None:
-                self._take()
-                passed = np.inf  # a running robot is shown as it is now
+            self.take()
             if not self.timeline.moments:
                 continue
             if self.playing:
-                self.seek(self.time + self.speed * passed)
+                self.seek(np.inf if self._live else self.time + self.speed * passed)
                 self.playing = self._growing or self.time < self.timeline.end
             self._show(now)
 
