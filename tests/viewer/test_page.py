@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import subprocess
 import sys
 import threading
 import time
@@ -238,6 +239,21 @@ def test_a_page_that_is_closed_leaves_no_thread(tracked, viser, free_port):
     with Viewer(Tracker(tracked.rig, tracked.model), port=free_port):
         pass
     until(lambda: {thread.name for thread in threading.enumerate()} - before <= {"asyncio_0"})
+
+
+PROGRAM = """
+import handsight as hs
+from handsight.cli.demo import DATA
+
+rig = hs.Rig.from_file(DATA / "can.rig.yaml")
+hs.view(hs.Tracker(rig, rig.objects["can"].model()), say=lambda _: None)
+"""
+
+
+@pytest.mark.slow
+def test_a_program_that_does_not_close_its_page_ends_in_silence(viser):
+    ended = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=300)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
 def test_without_viser_one_sentence_says_what_to_install(tracked, monkeypatch):

@@ -1,5 +1,6 @@
 """The page: a server that shows a timeline to all browsers that are open on it, with pause, seeking and speed."""
 
+import atexit
 import contextlib
 import io
 import logging
@@ -114,6 +115,7 @@ class Player:
 
     def start(self) -> None:
         """Begins to play."""
+        atexit.register(self.close)  # before viser's own end, which says farewell
         self._thread.start()
 
     def finish(self) -> None:
@@ -132,6 +134,7 @@ class Player:
 
     def close(self) -> None:
         """Ends the page; browsers keep what they show."""
+        atexit.unregister(self.close)
         self._closed.set()
         if self._thread.is_alive():
             self._thread.join()
