@@ -64,12 +64,8 @@ def save(figure: "Figure", path: Path) -> None:
         labelled |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     handles = list(labelled.values())
     labels = list(labelled)
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=min(len(labels), 7 if len(max(labels, key=len)) < 15 else 4),
-    )
+    columns = 7 if max(map(len, labels), default=0) < 20 else 4
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns))
     with write_errors(path):
         try:
             figure.savefig(path, dpi=130)
@@ -115,7 +111,7 @@ def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
     axes.locator_params(nbins=5)
     axes.set(xlabel="palm x [mm]", ylabel="palm y [mm]", zlabel="palm z [mm]")
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.labelpad = 10
+        axis.labelpad = 7
     fit = "fits" if answer["consistent"] else "does NOT fit"
     axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}")
 

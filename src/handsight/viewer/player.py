@@ -44,13 +44,7 @@ class Player:
     nothing is drawn."""
 
     def __init__(
-        self,
-        rig: Rig,
-        model: ObjectModel,
-        *,
-        port: int = PAGE_PORT,
-        title: str = "",
-        live: bool = False,
+        self, rig: Rig, model: ObjectModel, *, port: int = PAGE_PORT, title: str = "", live: bool = False
     ) -> None:
         """Serves the page at `port`, or at the next free one; raises MissingExtra, or HandsightError where none is.
 
