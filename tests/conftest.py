@@ -6,9 +6,7 @@ import socket
 import warnings
 from importlib.util import find_spec
 from itertools import islice
-from multiprocessing import Pipe
 from pathlib import Path
-from threading import Thread
 from types import SimpleNamespace
 
 import hypothesis
@@ -203,20 +201,23 @@ OBSERVATIONS = 120
 def tracked():
     """The can's rig, model, first observations, their moments and the truth."""
     import handsight
-    from handsight.evaluation import Truths
     from handsight.recording import open_recording
     from handsight.rig import Rig
     from handsight.tracking import Tally, Tracker
-    from handsight.viewer.timeline import Timeline, follow
+    from handsight.tracking.replay import replay
+    from handsight.viewer.moment import Timeline
 
     data = Path(handsight.__file__).parent / "data"
     rig = Rig.from_file(data / "can.rig.yaml")
-    model, timeline = rig.objects["can"].model(), Timeline()
+    model = rig.objects["can"].model()
+    timeline = Timeline(rig, model)
     with open_recording(data / "can.mcap", rig) as recording:
         observations = list(islice(recording.observations(), OBSERVATIONS))
-        truths = Truths(recording.truth)
-    list(follow(observations, Tracker(rig, model), Tally(), timeline))
-    return SimpleNamespace(rig=rig, model=model, observations=observations, timeline=timeline, truths=truths)
+        timeline.truth = list(recording.truth)
+    tracker = Tracker(rig, model)
+    for _ in replay(observations, tracker, Tally()):
+        timeline.add(tracker.track_state)
+    return SimpleNamespace(rig=rig, model=model, observations=observations, timeline=timeline)
 
 
 @pytest.fixture
@@ -234,38 +235,20 @@ def viser():
 
 
 @pytest.fixture
-def page(viser, tracked, free_port):
-    from handsight.viewer.page import Page
+def player(viser, tracked, free_port):
+    """The page of the recording, paused."""
+    from handsight.viewer.player import Player
 
-    with contextlib.closing(Page(tracked.rig, tracked.model, port=free_port, title="can")) as made:
+    with contextlib.closing(Player(tracked.rig, tracked.model, port=free_port, title="can")) as made:
+        made.timeline = tracked.timeline
+        made.playing = False
+        made.finish()
         yield made
-
-
-@pytest.fixture
-def pages(viser, monkeypatch):
-    """The pages of viewers, newest last: served in a thread of this process, where a test can look at them."""
-    from handsight.viewer import live_viewer
-
-    made = []
-
-    def begin():
-        ours, theirs = Pipe()
-        Thread(target=live_viewer.serve, args=(theirs,), daemon=True).start()
-        return ours, None
-
-    class Kept(live_viewer.Page):
-        def __init__(self, *given, **options):
-            super().__init__(*given, **options)
-            made.append(self)
-
-    monkeypatch.setattr(live_viewer, "begin", begin)
-    monkeypatch.setattr(live_viewer, "Page", Kept)
-    return made
 
 
 @pytest.fixture
 def watched(viser, monkeypatch):
     """Somebody looks at every page."""
-    from handsight.viewer.page import Page
+    from handsight.viewer.player import Player
 
-    monkeypatch.setattr(Page, "watched", True)
+    monkeypatch.setattr(Player, "watched", True)

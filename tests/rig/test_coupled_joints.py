@@ -68,7 +68,7 @@ def test_a_stream_and_a_live_tracker_complete_what_the_motors_say(claw):
     assert not [each for each in (*stream.lacks(), *stream.report.sentences()) if "joint" in each]
     live = LiveTracker(claw, hs.ObjectModel.box((0.06, 0.09, 0.14)), encoding="cdr", equal=True)
     seen = []
-    live.show = lambda observation, _: seen.append(observation)
+    live.show = lambda tracker: seen.append(tracker.processed)
     for row in rows:
         live.put(raw(*row))
     while not seen:

@@ -2,15 +2,12 @@
 
 import shutil
 import time
-from functools import partial
 
 import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.viewer.player import Player
 from handsight.viewer.scene import quaternions_wxyz
-from handsight.viewer.timeline import curves
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (
@@ -41,9 +38,9 @@ def until(condition):
         time.sleep(0.05)
 
 
-def amber(page):
+def amber(player):
     """(2,) column and row of the middle of what is drawn in the object's colour, from a camera that stands still."""
-    (client,), camera = page.server.get_clients().values(), page.server.initial_camera
+    (client,), camera = player.server.get_clients().values(), player.server.initial_camera
     forward = camera.look_at - camera.position
     right = np.cross(forward, camera.up)
     axes = [axis / np.linalg.norm(axis) for axis in (right, np.cross(forward, right), forward)]
@@ -58,48 +55,43 @@ def amber(page):
 
 
 @pytest.mark.slow
-def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, page, tracked):
-    timeline = tracked.timeline
-    plotted = partial(curves, timeline.moments, timeline.begin, tracked.model, tracked.truths)
-    player = Player(page, timeline, plotted)
-    player.playing = False
-    player.finish()
+def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, player):
+    timeline = player.timeline
     player.start()
     tab = browser.new_page(viewport={"width": 480, "height": 320})
     tab.set_default_timeout(1e3 * PATIENCE)
     asked = []
     tab.on("request", lambda request: asked.append(request.url))
     try:
-        tab.goto(page.address)
-        until(lambda: page.watched and page.last is timeline.moments[0])
+        tab.goto(player.address)
+        until(lambda: player.watched and player.last is timeline.moments[0])
         tab.wait_for_selector("canvas")
-        began = amber(page)
+        began = amber(player)
 
         player.play(True)
         until(lambda: not player.playing)
         # Vision's first pose is centimetres off. The browser draws what it was sent when it has time.
-        until(lambda: np.linalg.norm(amber(page) - began) > 3)
+        until(lambda: np.linalg.norm(amber(player) - began) > 3)
         time.sleep(1.0)
-        ended = amber(page)
+        ended = amber(player)
 
         thumb = tab.get_by_role("slider").first
         thumb.press("Home")
-        until(lambda: page.last is timeline.moments[0])
-        until(lambda: np.abs(amber(page) - began).max() < 1.0)
+        until(lambda: player.last is timeline.moments[0])
+        until(lambda: np.abs(amber(player) - began).max() < 1.0)
         thumb.press("End")
-        until(lambda: page.last is timeline.moments[-1])
-        until(lambda: np.abs(amber(page) - ended).max() < 1.0)
+        until(lambda: player.last is timeline.moments[-1])
+        until(lambda: np.abs(amber(player) - ended).max() < 1.0)
 
         # Whoever else looks sees the same moment, and may choose another for both.
         other = browser.new_page(viewport={"width": 480, "height": 320})
         other.set_default_timeout(1e3 * PATIENCE)
-        other.goto(page.address)
+        other.goto(player.address)
         theirs = other.get_by_role("slider").first
-        until(lambda: float(theirs.get_attribute("aria-valuenow")) > 0.9 * timeline.length)
+        until(lambda: float(theirs.get_attribute("aria-valuenow")) > 0.9 * timeline.end)
         theirs.press("Home")
-        until(lambda: page.last is timeline.moments[0])
+        until(lambda: player.last is timeline.moments[0])
         until(lambda: float(thumb.get_attribute("aria-valuenow")) == 0)
-        assert all(url.startswith((f"http://127.0.0.1:{page.port}/", "data:", "blob:")) for url in asked)
+        assert all(url.startswith((f"http://127.0.0.1:{player.port}/", "data:", "blob:")) for url in asked)
     finally:
         tab.close()
-        player.close()

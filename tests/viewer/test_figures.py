@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handsight import Camera, Contacts, ObjectModel, PosePrior, se3
-from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
+from handsight.viewer.figures import CorrectionPanel, draw_corrections
 from handsight.viewer.shapes import silhouette
 
 

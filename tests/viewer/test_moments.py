@@ -8,16 +8,14 @@ import pytest
 
 from handsight import ObjectModel, PoseEstimate, contact_from_wrench, se3
 from handsight.contact import compensate
-from handsight.evaluation import track_errors
+from handsight.evaluation import Truths, track_errors
 from handsight.observation import Observation
 from handsight.tracking import Tracker
-from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.replay import Tally, replay
-from handsight.viewer.moment import Moment
-from handsight.viewer.picture import Shot, picture
+from handsight.viewer.moment import MOMENT_PERIOD, Timeline
+from handsight.viewer.picture import picture
 from handsight.viewer.shapes import SIGMAS_95, ellipsoid, middle, open_direction
-from handsight.viewer.timeline import TIMELINE_FRAME, curves
 
 
 def touched(tracked):
@@ -37,7 +35,9 @@ def test_a_recording_is_shown_as_track_gives_it(tracked):
             step.sigma,
             step.fingers,
         )
-    assert min(np.diff([moment.stamp for moment in moments])) >= TIMELINE_FRAME - 1e-3
+    between = np.diff([moment.stamp for moment in moments])
+    assert min(between[:-1]) >= MOMENT_PERIOD - 1e-3
+    assert moments[-1].stamp == tracked.observations[-1].stamp  # the newest is always there
 
 
 def observed(tracked, moment):
@@ -80,24 +80,58 @@ def test_a_moment_without_joints_has_no_link_but_the_palm_and_no_forces(tracked)
 def test_the_timeline_gives_the_last_moment_that_is_not_later(tracked):
     timeline = tracked.timeline
     rng, stamps = np.random.default_rng(3), np.array([m.stamp for m in timeline.moments])
-    for time in (*(stamps - stamps[0]), *rng.uniform(-0.1, timeline.length + 0.1, 50)):
+    for time in (*(stamps - stamps[0]), *rng.uniform(-0.1, timeline.end + 0.1, 50)):
         expected = np.flatnonzero(stamps <= stamps[0] + max(time, 0.0) + 1e-3)[-1]
         assert timeline.at(time) is timeline.moments[expected]
 
 
 def test_curves_are_the_sigmas_and_errors_of_the_estimates(tracked):
-    moments, model = tracked.timeline.moments, tracked.model
-    found = curves(moments, moments[0].stamp, model, tracked.truths)
+    timeline = tracked.timeline
+    moments, model = timeline.moments, tracked.model
+    found = timeline.curves()
     steps = replay(tracked.observations, Tracker(tracked.rig, model), Tally())
     kept = {m.stamp for m in moments}
     steps = [step for step in steps if step.stamp in kept]
-    expected = track_errors(model, steps, tracked.truths, vision=False).middle
+    expected = track_errors(model, steps, Truths(timeline.truth), vision=False).middle
     np.testing.assert_allclose(found.errors[np.isfinite(found.errors)], 1e3 * expected, atol=1e-9)
     np.testing.assert_allclose(found.sigmas, [1e3 * step.sigma for step in steps])
     assert list(found.states) == [step.state for step in steps]
-    few = curves(moments * 40, moments[0].stamp)
+    np.testing.assert_allclose(found.times, np.array(sorted(kept)) - moments[0].stamp)
+
+
+def test_a_plot_has_few_points_and_every_slip(tracked):
+    timeline = Timeline(tracked.rig, tracked.model)
+    first = tracked.timeline.moments[-1]
+    timeline.moments = [dataclasses.replace(first, stamp=0.1 * k) for k in range(2000)]
+    slips = dataclasses.replace(first.slip, slipping=True)
+    timeline.moments[1003] = dataclasses.replace(first, stamp=100.3, slip=slips)
+    few = timeline.curves()
     assert len(few.times) <= 300
-    assert (few.times[0], few.times[-1]) == (0.0, moments[-1].stamp - moments[0].stamp)
+    assert (few.times[0], few.times[-1]) == (0.0, pytest.approx(199.9))
+    (slipping,) = np.flatnonzero(few.slipping)
+    assert few.times[slipping] <= 100.3 < few.times[slipping + 1]
+
+
+def states(tracked, count):
+    """The states after the first observations."""
+    tracker = Tracker(tracked.rig, tracked.model)
+    for observation in tracked.observations[:count]:
+        tracker.update(observation)
+        yield tracker.track_state
+
+
+def test_a_timeline_begins_anew_where_the_clock_was_set_back_and_keeps_no_more_than_asked(tracked):
+    timeline = Timeline(tracked.rig, tracked.model, most=4)
+    known = list(states(tracked, 40))
+    for state in known:
+        timeline.add(state)
+        assert timeline.moments[-1].stamp == state.stamp
+    assert len(timeline.moments) == 4
+    assert timeline.origin == known[0].stamp
+    assert timeline.begin == timeline.moments[0].stamp - timeline.origin
+    timeline.add(known[10])
+    assert [moment.stamp for moment in timeline.moments] == [known[10].stamp]
+    assert (timeline.origin, timeline.begin, timeline.end) == (known[10].stamp, 0.0, 0.0)
 
 
 def test_the_ellipsoid_contains_95_of_100_draws_of_the_middle():
@@ -159,7 +193,8 @@ def seen(tracked):
 def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     pytest.importorskip("PIL")
     rig, observation, T_palm_object = seen(tracked)
-    found, amber = picture(rig, Shot(observation, CameraFromPalm(), None)), (224, 161, 0)
+    state = dataclasses.replace(Tracker(rig, tracked.model).track_state, processed=observation)
+    found, amber = picture(rig, state), (224, 161, 0)
     image = found.with_outlines(tracked.model, {amber: found.T_camera_palm @ T_palm_object})
     outline = (image == amber).all(axis=2)
     assert outline.sum() > 100
@@ -179,11 +214,15 @@ def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     assert (np.abs(off) < 0.004).sum() > 150
 
 
-def test_a_moment_now_is_the_trackers(tracked):
-    tracker = Tracker(tracked.rig, tracked.model)
-    for observation in tracked.observations[:60]:
-        tracker.update(observation)
-        moment = Moment.now(tracker)
-        assert (moment.stamp, moment.state, moment.reason) == (tracker.stamp, tracker.state, tracker.reason)
-        assert moment.estimate is tracker.estimate
-        assert moment.fingertips is tracker.fingertips
+def test_a_moment_is_the_trackers_state(tracked):
+    timeline = Timeline(tracked.rig, tracked.model)
+    for state in states(tracked, 60):
+        timeline.add(state)
+        moment = timeline.moments[-1]
+        assert (moment.stamp, moment.state, moment.reason) == (
+            state.stamp,
+            state.monitor.label,
+            state.monitor.reason,
+        )
+        assert moment.estimate is state.estimate
+        assert moment.fingertips is state.touch.fingertips

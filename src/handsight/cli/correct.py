@@ -173,7 +173,7 @@ def _open(problems: str) -> "Source":
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> str:
     """Writes a picture of problems and their answers, and returns a sentence that names it."""
-    from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
+    from handsight.viewer.figures import CorrectionPanel, draw_corrections
 
     panels = [CorrectionPanel(of.model, of.contacts, of.vision, answer) for of, answer in answered]
     draw_corrections(panels, plot)

@@ -405,7 +405,7 @@ def _found_beside(
 
 def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:
     """Draws images with the poses found in them to a file, and returns a sentence that names it."""
-    from handsight.viewer.detection_figures import draw_located
+    from handsight.viewer.figures import draw_located
 
     draw_located(panels, path)
     return f"wrote {path}"

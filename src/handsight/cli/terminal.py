@@ -92,7 +92,7 @@ def check_outputs(answers: Path | None, picture: Path | None, *read: object) -> 
             check_not_overwritten(output, what, source, "what is read")
     check_not_overwritten(picture, "the picture", place, "the answers")
     if picture is not None:
-        from handsight.viewer.correction_figures import new_figure
+        from handsight.viewer.figures import new_figure
 
         known = new_figure().canvas.get_supported_filetypes()
         if picture.suffix[1:].lower() not in known:

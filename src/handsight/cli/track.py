@@ -172,7 +172,7 @@ def write(result: "TrackResult", run: Run, folder: Path, log: "TrackLog") -> Ite
 def draw(result: "TrackResult", model: "ObjectModel", path: Path) -> str:
     """Draws a result to a file, and returns a sentence that names it, or says why there is none."""
     try:
-        from handsight.viewer.track_figure import draw_track
+        from handsight.viewer.figures import draw_track
 
         draw_track(result.name, model, result.steps, result.truths, path)
     except MissingExtra as error:

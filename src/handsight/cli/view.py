@@ -36,13 +36,10 @@ def view(
     handsight view can.mcap
     ```
     """
-    from handsight.evaluation import Truths
     from handsight.messages import OwnTopic
     from handsight.recording.open import open_files
-    from handsight.tracking.replay import Tally
-    from handsight.viewer.page import Page, require_viser
-    from handsight.viewer.player import Player
-    from handsight.viewer.timeline import Curves, Timeline, curves, follow
+    from handsight.tracking.replay import Tally, replay
+    from handsight.viewer.player import Player, require_viser
 
     require_viser()
     settings = tracker_settings(rate=rate, outside=outside, images=images)
@@ -56,23 +53,19 @@ def view(
                     came = "got what `handsight track` made of it: poses alone"
                     raise InvalidInput(f"{recording}: {expected}, {came}")
         run = Run.of(recording, rig, object, settings)
-        page = Page(run.rig, run.model, port=port, title=f"{run.model.name or 'object'} in {recording.name}")
-        with contextlib.closing(page), contextlib.ExitStack() as stack:
-            taken = "" if page.port == port else f" ({port} is taken)"
-            say(f"look at {page.address}{taken}; Ctrl-C ends")
-            timeline = Timeline()
+        title = f"{run.model.name or 'object'} in {recording.name}"
+        player = Player(run.rig, run.model, port=port, title=title)
+        with contextlib.closing(player), contextlib.ExitStack() as stack:
+            taken = "" if player.port == port else f" ({port} is taken)"
+            say(f"look at {player.address}{taken}; Ctrl-C ends")
             tally = Tally()
             opened, tracker = stack.enter_context(run.opened())
-
-            def plotted() -> Curves:
-                return curves(list(timeline.moments), timeline.begin, run.model, Truths(opened.truth))
-
-            player = Player(page, timeline, plotted)
-            stack.enter_context(contextlib.closing(player))
+            timeline = player.timeline
             player.start()
             try:
-                for _ in follow(opened.observations(), tracker, tally, timeline):
-                    pass
+                for _ in replay(opened.observations(), tracker, tally):
+                    timeline.truth = opened.truth
+                    timeline.add(tracker.track_state)
             except HandsightError as error:
                 if not timeline.moments:
                     raise
@@ -82,5 +75,5 @@ def view(
             if not timeline.moments:
                 say(f"no pose: {tracker.reason}")
                 raise typer.Exit(FAILED)
-            say(f"tracked {timeline.length:.1f} s in {tally.wall:.1f} s")
+            say(f"tracked {timeline.end:.1f} s in {tally.wall:.1f} s")
             threading.Event().wait()

@@ -104,8 +104,8 @@ class LiveTracker:
         self.settings = settings
         self.markers_wanted: Callable[[], bool] = lambda: False
         """Returns whether anybody subscribes to the markers; to be set by the transport."""
-        self.show: Callable[[Observation, Tracker], None] = lambda *_: None
-        """Called with each observation after its update, in the thread of `step`; such as a viewer's `update`."""
+        self.show: Callable[[Tracker], None] = lambda _: None
+        """Called with the tracker after each update, in the thread of `step`; such as a viewer's `update`."""
         self.equal = equal
         self._inbox = Inbox()
         self._tasks = deque[Callable[[], None]]()
@@ -294,7 +294,7 @@ class LiveTracker:
         except HandsightError as error:
             self.health.refused(str(error))
             return []
-        self.show(observation, tracker)
+        self.show(tracker)
         if estimate is None or tracker.stamp != observation.stamp:
             return []
         answers = [self._writer.pose(tracker.stamp, estimate)]

@@ -8,9 +8,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from handsight.viewer.live_viewer import NullViewer, Viewer, view
+    from handsight.viewer.live_viewer import Viewer, view
 
-__all__ = ["NullViewer", "Viewer", "view"]
+__all__ = ["Viewer", "view"]
 
 
 def __getattr__(name: str) -> Any:

@@ -3,7 +3,6 @@
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are used
@@ -13,10 +12,9 @@ from handsight import se3
 from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking import Tracker
 from handsight.tracking.camera_from_palm import CameraFromPalm
+from handsight.tracking.track_state import TrackState
 from handsight.viewer.shapes import grey, silhouette
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
@@ -24,22 +22,6 @@ from handsight.vision.pixels import Color
 WIDTH = 320  # most columns of an image
 MAX_POINTS = 3000  # of a depth image
 NEAR_PALM = 0.2  # farther points of a depth image are the room's [m]
-
-
-class Shot(NamedTuple):
-    """An observation with images, and the camera's pose as estimated then."""
-
-    observation: Observation
-    from_palm: CameraFromPalm
-    T_world_palm: Array | None
-
-    @classmethod
-    def now(cls, tracker: Tracker) -> "Shot | None":
-        """Returns the images that a tracker has just processed; None where there were none."""
-        observation = tracker.processed
-        if observation is None or (observation.color is None and observation.depth is None):
-            return None
-        return cls(observation, tracker.vision.camera_from_palm, tracker.T_world_palm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +56,11 @@ def jpeg(image: Color) -> bytes:
     return buffer.getvalue()
 
 
-def picture(rig: Rig, shot: Shot) -> Picture | None:
-    """Returns the picture of an observation's images; None where it has none."""
-    color = shot.observation.color
-    depth = shot.observation.depth
+def picture(rig: Rig, state: TrackState) -> Picture | None:
+    """Returns the picture of the images that a tracker has processed last; None where there were none."""
+    observation = state.processed
+    color = None if observation is None else observation.color
+    depth = None if observation is None else observation.depth
     # A colour image of another size than depth's is of another camera than the rig's.
     if color is not None and (depth is None or color.shape[:2] == depth.shape):
         image = color
@@ -90,7 +73,8 @@ def picture(rig: Rig, shot: Shot) -> Picture | None:
     camera = None
     if mounted is not None and mounted.intrinsics is not None and mounted.size == (width, height):
         camera = Camera.of(mounted)
-    T_camera_palm = palm_in_camera(rig, shot.from_palm, shot.T_world_palm)
+    T_world_palm = state.belief.T_world_palm
+    T_camera_palm = palm_in_camera(rig, state.belief.vision.camera_from_palm, T_world_palm)
     points = np.zeros((0, 3), np.float16)
     colors = np.zeros((0, 3), np.uint8)
     if camera is not None and depth is not None and T_camera_palm is not None:
@@ -105,14 +89,8 @@ def picture(rig: Rig, shot: Shot) -> Picture | None:
     if camera is not None:
         shrunk = camera.matrix * [[1 / step], [1 / step], [1]]
         camera = Camera(shrunk, (image.shape[1], image.shape[0]), camera.lens)
-    return Picture(
-        camera=camera,
-        image=jpeg(image),
-        points_palm=points,
-        colors=colors,
-        T_camera_palm=T_camera_palm,
-        T_camera_palm_calibrated=palm_in_camera(rig, CameraFromPalm(), shot.T_world_palm),
-    )
+    calibrated = palm_in_camera(rig, CameraFromPalm(), T_world_palm)
+    return Picture(camera, jpeg(image), points, colors, T_camera_palm, calibrated)
 
 
 def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | None) -> Array | None:

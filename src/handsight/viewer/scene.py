@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Color = tuple[int, int, int]
 HAND: Color = (176, 182, 194)
+GRID: Color = (160, 160, 160)
 GHOST_OPACITY = 0.22  # of other poses
 ARROW = 0.001  # radius of an arrow's shaft [m]
 NORMAL = 0.02  # length of a drawn normal [m]
@@ -33,10 +34,10 @@ LAYERS: dict[str, tuple[str, Color]] = {
     "modes": ("other likely poses", (67, 160, 71)),
     "contacts": ("contacts and their normals", (194, 24, 91)),
     "forces": ("forces on the fingers", (229, 57, 53)),
-    "covariance": ("where its middle is, 95 %", (123, 31, 162)),
-    "open": ("left open by touch", (13, 71, 161)),
-    "depth": ("depth image", (110, 110, 110)),
-    "frame": ("the palm's axes, gravity, horizontal grid of 5 cm", (90, 90, 90)),
+    "covariance": ("where its middle is, 95 %", (150, 60, 190)),
+    "open": ("left open by touch", (33, 100, 210)),
+    "depth": ("depth image", (130, 130, 130)),
+    "frame": ("the palm's axes, gravity, horizontal grid of 5 cm", (120, 120, 120)),
 }
 """What can be shown, by name: its label and colour."""
 
@@ -78,7 +79,9 @@ class MomentScene:
         gravity.points = np.array([[[0, 0, 0], [0, 0, -0.1]]])
         gravity.visible = True
         below = (0, 0, -0.15)  # [m]
-        scene.add_grid("/world/grid", width=1, height=1, cell_size=0.05, section_size=0.25, position=below)
+        grey = {"cell_color": GRID, "section_color": GRID}  # on white as on black
+        size = {"width": 1, "height": 1, "cell_size": 0.05, "section_size": 0.25}
+        scene.add_grid("/world/grid", **size, **grey, section_thickness=2, position=below)
 
     def draw(self, moment: Moment, forces: Mapping[str, Array]) -> None:
         """Shows a moment in place of the last one; `forces` are those of `Moment.forces`."""

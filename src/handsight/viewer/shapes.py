@@ -1,7 +1,6 @@
-"""Shapes to be drawn for an object and an estimate: sharp edges, silhouette, flat directions, uncertainty."""
+"""Shapes to be drawn for an object and an estimate: silhouette, flat directions, uncertainty."""
 
 import numpy as np
-import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight.camera import Camera, Depth
@@ -9,22 +8,12 @@ from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
-from handsight.objects.surface import Triangles
 
+STATES = {"tracking": "#3d9a42", "uncertain": "#d98200", "lost": "#e53935"}
+SLIP = "#a347ba"
+"""Colours of a track's states and of slips, readable on white and on black."""
 REACH = 0.6  # of what is drawn of an open direction, relative to the object's size
 SIGMAS_95 = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
-
-
-def creases(model: ObjectModel) -> Array:
-    """Returns edges (k, 2, 3) [m] at which the surface bends sharply or ends; none for an object without triangles."""
-    if not len(model.faces):
-        return np.empty((0, 2, 3))
-    surface = Triangles(model.vertices, model.faces)
-    edges = surface.edges
-    a, b = (surface.doubled_normals[of // 3] for of in surface.shared)
-    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    sharp = edges.vertices[edges.counts == 2][(a * b).sum(axis=1) < np.cos(np.deg2rad(25)) * lengths]
-    return np.asarray(model.vertices[np.concatenate([sharp, edges.vertices[edges.counts == 1]])])
 
 
 def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> Depth:
@@ -32,15 +21,9 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     if len(model.faces):
         return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
     points = se3.apply(T_camera_object, model.sample(6000)[0])
-    depth = np.full(camera.size[::-1], np.inf, dtype=np.float32)
-    pixels = np.round(camera.project(points))
-    inside = ((pixels >= 0) & (pixels < camera.size)).all(axis=1)  # NaN is not
-    u, v = pixels[inside].astype(int).T
-    np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
-    # Each point is a dot in front of what is behind it.
-    image = scipy.ndimage
-    dot = image.iterate_structure(image.generate_binary_structure(2, 1), 2)
-    return np.asarray(image.minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
+    # A scan's points are triangles that face the camera.
+    corners = points[:, None] + model.diameter / 40 * np.array([[1, 0, 0], [-0.5, 0.9, 0], [-0.5, -0.9, 0]])
+    return camera.draw(corners.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3)).depth
 
 
 def grey(depth: Depth) -> Array:
