@@ -2,7 +2,9 @@
 
 import numpy as np
 
+import _picture
 import handsight as hs
+from handsight import se3
 
 model = hs.ObjectModel.box((0.06, 0.09, 0.14))
 
@@ -24,3 +26,10 @@ print("position [mm]:", np.round(1e3 * estimate.T_palm_object[:3, 3], 1))
 print("sigma [mm]:   ", np.round(1e3 * np.sqrt(np.diagonal(estimate.covariance))[:3], 2))
 print("consistent:", estimate.consistent, " outliers:", estimate.outliers)
 print("unobservable directions:", len(estimate.unobservable))
+
+surface = model.sample(800)[0]
+clouds = {
+    "vision": se3.apply(T_palm_vision, surface),
+    "corrected": se3.apply(estimate.T_palm_object, surface),
+}
+_picture.bodies("One correction, in the palm", clouds, contacts.points_palm, contacts.normals_palm)

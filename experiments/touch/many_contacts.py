@@ -63,7 +63,7 @@ def main() -> None:
         of = scenes.ManyOptions(contacts=n, wrong=0.02)
         times = [solved(scenes.box(), of, options.rng(9, n, k))["ms"] for k in range(options.trials // 5 + 2)]
         growth.append([n, f"{np.median(times):.1f}"])
-    report.print_table("Time of a correction", "contacts on the box, 5 patches, 2 % wrong | ms", growth)
+    report.print_table("Time of a correction", "contacts on the box, 5 patches, 2 % wrong | ms", growth, detail=True)
     report.write_csv(options.output / "many_contacts.csv", rows)
 
 

@@ -265,7 +265,7 @@ def main() -> None:
     believed = report.chosen(tables["weighing"], refused=0.0)
     report.print_by("Weighing", believed, "object, orientations", WEIGHING, note)
     report.print_by("Pose", tables["weighing"], "object, orientations", POSE)
-    report.print_by("Moving", tables["moving"], "object, acceleration", MOVING)
+    report.print_by("Moving", tables["moving"], "object, acceleration", MOVING, detail=True)
     wrong = [row | {"worse": row["pose"] - row["without"]} for row in tables["wrong"]]
     report.print_by("Wrong", wrong, "what, object", WRONG)
     for weighed in (False, True):
