@@ -4,7 +4,6 @@ import numpy as np
 
 import _picture
 import handsight as hs
-from handsight import se3
 
 model = hs.ObjectModel.box((0.06, 0.09, 0.14))
 
@@ -27,9 +26,5 @@ print("sigma [mm]:   ", np.round(1e3 * np.sqrt(np.diagonal(estimate.covariance))
 print("consistent:", estimate.consistent, " outliers:", estimate.outliers)
 print("unobservable directions:", len(estimate.unobservable))
 
-surface = model.sample(800)[0]
-clouds = {
-    "vision": se3.apply(T_palm_vision, surface),
-    "corrected": se3.apply(estimate.T_palm_object, surface),
-}
-_picture.bodies("One correction, in the palm", clouds, contacts.points_palm, contacts.normals_palm)
+poses = {"vision": T_palm_vision, "corrected": estimate.T_palm_object}
+_picture.bodies("One correction, in the palm", model, poses, contacts.points_palm, contacts.normals_palm)

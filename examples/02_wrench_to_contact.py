@@ -30,6 +30,6 @@ if contact:
     around, along = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(0, 0.5 * np.pi, 20))
     cap = [np.cos(around) * np.cos(along), np.sin(around) * np.cos(along), np.sin(along)]
     clouds = {"fingertip": np.reshape(cap, (3, -1)).T * tip.semi_axes}
-    _picture.bodies("A contact on a fingertip", clouds, contact.point[None], contact.normal[None])
+    _picture.bodies("A contact on a fingertip", None, {}, contact.point[None], contact.normal[None], clouds)
 else:
     print("no contact:", contact.reason)

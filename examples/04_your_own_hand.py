@@ -59,11 +59,8 @@ with open_recording(folder / "allegro.mcap", rig) as recording:
 errors = [1e3 * np.linalg.norm((each.T_palm_object - T_palm_can)[[0, 2], 3]) for each in estimates]
 print(f"{tracker.state}: {errors[0]:.1f} mm off the can's axis by vision, {errors[-1]:.1f} mm with touch")
 
+found = tracker.fingertips.contacts
+poses = {"vision": T_palm_vision, "tracked": estimates[-1].T_palm_object}
+links = {"links": rig.hand.shape().vertices_palm(joints)[::5]}
 model = rig.objects["can"].model()
-surface, found = model.sample(500)[0], tracker.fingertips.contacts
-clouds = {
-    "vision": se3.apply(T_palm_vision, surface),
-    "tracked": se3.apply(estimates[-1].T_palm_object, surface),
-    "links": rig.hand.shape().vertices_palm(joints)[::5],
-}
-_picture.bodies("An Allegro hand on a can", clouds, found.points_palm, found.normals_palm)
+_picture.bodies("An Allegro hand on a can", model, poses, found.points_palm, found.normals_palm, links)

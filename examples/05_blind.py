@@ -4,7 +4,6 @@ import numpy as np
 
 import _picture
 import handsight as hs
-from handsight import se3
 
 model = hs.ObjectModel.cylinder(radius=0.033, height=0.115)
 angle = np.deg2rad([0.0, 120.0, 240.0])
@@ -18,8 +17,5 @@ for mode in estimate.hypotheses:
     print(f"probability {mode.weight:.2f}: middle at {np.round(middle)} mm, axis {np.round(axis, 2)}")
 print(f"{len(estimate.unobservable)} unobservable directions: the can may slide and spin between the fingers")
 
-surface = model.sample(600)[0]
-clouds = {
-    f"probability {mode.weight:.2f}": se3.apply(mode.T_palm_object, surface) for mode in estimate.hypotheses
-}
-_picture.bodies("Poses that fit three contacts", clouds, points, normals)
+poses = {f"probability {mode.weight:.2f}": mode.T_palm_object for mode in estimate.hypotheses}
+_picture.bodies("Poses that fit three contacts", model, poses, points, normals)

@@ -47,7 +47,9 @@ def problem(rng: np.random.Generator) -> tuple[bytes, np.ndarray]:
 if __name__ == "__main__":  # workers are processes that read this file again
     rng = np.random.default_rng(0)
     lines, truths = zip(*(problem(rng) for _ in range(200)), strict=True)
-    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
         source = io.BufferedReader(io.BytesIO(b"\n".join(lines)))
         with answering(source, Path.cwd(), cluster=cluster.scheduler_address) as answered:
             answers = [json.loads(text) for _, some in answered for text in some.texts]

@@ -7,7 +7,6 @@ import numpy as np
 
 import _picture
 import handsight as hs
-from handsight import se3
 from handsight.objects import Facts, Library, declared_symmetries
 
 folder = Path(tempfile.mkdtemp())
@@ -40,6 +39,5 @@ vision = hs.PosePrior.from_sigmas(np.eye(4), sigma_position=0.01, sigma_rotation
 estimate = hs.correct_pose(model, contacts, vision=vision)
 print(estimate.T_palm_object.round(4))
 
-surface = model.sample(800)[0]
-clouds = {"vision": surface, "corrected": se3.apply(estimate.T_palm_object, surface)}
-_picture.bodies("tea, from the library", clouds, contacts.points_palm, contacts.normals_palm)
+poses = {"vision": np.eye(4), "corrected": estimate.T_palm_object}
+_picture.bodies("tea, from the library", model, poses, contacts.points_palm, contacts.normals_palm)

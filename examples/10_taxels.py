@@ -4,7 +4,6 @@ import numpy as np
 
 import _picture
 import handsight as hs
-from handsight import se3
 from handsight.contact import TactileSurface
 
 # An array of 20 x 15 taxels in the palm. A box covers its columns from the eighth on.
@@ -26,13 +25,8 @@ for name, skin in (("tips", None), ("tips and taxels", hs.SkinEvidence.of(touch,
     edge = 1e3 * (estimate.T_palm_object[0, 3] - 0.045)
     print(f"{name}: the box begins at x = {edge:.0f} mm (true: between -4 and 0)")
 
-surface = model.sample(800)[0]
 x, y = 0.004 * (np.arange(15) - 7), 0.004 * (np.arange(20) - 9.5)
 places = np.stack([*np.meshgrid(x, y), np.zeros((20, 15))], axis=-1)
-clouds = {
-    "vision": se3.apply(T_palm_vision, surface),
-    "corrected": se3.apply(estimate.T_palm_object, surface),
-    "pressed taxels": places[touch.pressed],
-    "untouched taxels": places[touch.untouched],
-}
-_picture.bodies("Taxels end a slide", clouds, tips.points_palm, tips.normals_palm)
+clouds = {"pressed taxels": places[touch.pressed], "untouched taxels": places[touch.untouched]}
+poses = {"vision": T_palm_vision, "corrected": estimate.T_palm_object}
+_picture.bodies("Taxels end a slide", model, poses, tips.points_palm, tips.normals_palm, clouds)

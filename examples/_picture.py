@@ -1,10 +1,12 @@
-"""What the examples share: pictures of bodies in the palm's frame, and of curves over time, saved in output/."""
+"""What the examples share: pictures, which are saved in output/."""
 
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+
+from handsight import se3
 
 
 def pyplot() -> ModuleType | None:
@@ -26,22 +28,44 @@ def save(plt: ModuleType) -> None:
     plt.show()  # does nothing without a screen
 
 
-def bodies(title: str, clouds: dict, points=None, normals=None) -> None:
-    """Draws clouds ((n, 3) by label, the palm's frame [m]) and contacts with their normals."""
+def bodies(title: str, model, poses: dict, points, normals, clouds: dict | None = None) -> None:
+    """Draws a model's edges at its poses (by label), contacts with normals, and clouds (by label), in the palm [m]."""
     if (plt := pyplot()) is None:
         return
-    colors = ["#808080", "#e0a100", "#1565c0", "#2e7d32", "#8e24aa", "#00838f"]
     figure = plt.figure(figsize=(7, 6.4), layout="constrained")
     axes = figure.add_subplot(projection="3d", title=title, xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-    for color, (label, cloud) in zip(colors, clouds.items(), strict=False):
-        axes.plot(*(1e3 * np.asarray(cloud)).T, ".", color=color, markersize=2.5, alpha=0.5, label=label)
-    if points is not None:
-        axes.plot(*(1e3 * np.asarray(points)).T, "o", color="#c2185b", label="contact, its normal")
-        starts, ways = 1e3 * np.asarray(points), 25 * np.asarray(normals)
-        axes.quiver(*starts.T, *ways.T, color="#c2185b")
+    colors = iter(["#808080", "#e0a100", "#1565c0", "#2e7d32", "#8e24aa", "#00838f"])
+    for label, T_palm_object in poses.items():
+        color = next(colors)
+        for k, ends in enumerate(1e3 * se3.apply(T_palm_object, edges(model))):
+            axes.plot(*ends.T, color=color, label=label if k == 0 else None)
+    for label, cloud in (clouds or {}).items():
+        axes.plot(*(1e3 * np.asarray(cloud)).T, ".", color=next(colors), markersize=4, alpha=0.6, label=label)
+    starts = 1e3 * np.asarray(points)
+    axes.plot(*starts.T, "o", color="#c2185b", label="contact, its normal")
     axes.set_aspect("equal")
-    axes.legend(loc="upper left", markerscale=3)
+    length = 0.2 * np.ptp(axes.get_zlim())
+    axes.quiver(*starts.T, *(length * np.asarray(normals)).T, color="#c2185b")
+    axes.legend(loc="upper left")
     save(plt)
+
+
+def edges(model) -> np.ndarray:
+    """Returns the edges of a model's mesh at which its surface bends by 30 degrees or more, (n, 2, 3)."""
+    if model is None:
+        return np.empty((0, 2, 3))
+    faces = np.asarray(model.faces)
+    corners = np.asarray(model.vertices)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    sides: dict[tuple, list] = {}
+    for face, normal, places in zip(faces, normals, corners, strict=True):
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            sides.setdefault(tuple(sorted((face[i], face[j]))), []).append((normal, places[[i, j]]))
+    bent = [
+        side[0][1] for side in sides.values() if len(side) < 2 or side[0][0] @ side[1][0] < np.cos(np.pi / 6)
+    ]
+    return np.array(bent)
 
 
 def over_time(title: str, seconds, curves: dict, sigma=None, unit: str = "mm") -> None:
