@@ -199,7 +199,9 @@ def print_objects(rows: Rows) -> None:
 
     rows = sorted((row for row in rows if row["contacts"]), key=lambda row: (row["object"], row["contacts"]))
     title = f"By object: median ADD-S in mm, before -> after (share of poses worse by > {WORSE:.0f} mm)"
-    report.print_by(title, rows, "object, contacts", {label: of(label) for label in ycb.ESTIMATORS}, detail=True)
+    report.print_by(
+        title, rows, "object, contacts", {label: of(label) for label in ycb.ESTIMATORS}, detail=True
+    )
 
 
 def main() -> None:

@@ -156,7 +156,11 @@ def print_regions(rows: Rows) -> None:
 
     report.print_by(
         "Truths inside the stated regions, one instant, %",
-        [row for row in report.chosen(rows, experiment="instant") if "in 50%" in row and row["method"] in SHOWN],
+        [
+            row
+            for row in report.chosen(rows, experiment="instant")
+            if "in 50%" in row and row["method"] in SHOWN
+        ],
         "object, method",
         {"50 % region": share("in 50%"), "95 % region": share("in 95%"), "χ² per freedom": freedom},
         "± one standard error; modulo symmetry; 1.00 is honest, less is modest. The "

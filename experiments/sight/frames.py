@@ -269,7 +269,9 @@ def show(rows: Rows) -> None:
         "First poses in real depth images", several + every, "told, scene", ANSWERS, "wrong: by ADD-S."
     )
     note = f"inside: of 95 % regions; truth's: with its own error of {1e3 * SIGMA_TRUTH:g} mm."
-    report.print_by("BOP's average recall, regions, times", several + every, "told, scene", RECALLS, note, detail=True)
+    report.print_by(
+        "BOP's average recall, regions, times", several + every, "told, scene", RECALLS, note, detail=True
+    )
     by_object = sorted(there, key=lambda row: str(row["object"]))
     report.print_by("By object", by_object, "object, told", BY_OBJECT, detail=True)
     absent = [row | {"sure": row["probability"] > 0.5} for row in rows if row["told"].startswith("absent")]
