@@ -262,8 +262,8 @@ def say(text: str) -> None:
 
 
 def wrote(path: Path) -> None:
-    """Prints the name of a file that was written, without wrapping it, on stderr: it is no part of a result."""
-    Console(width=WIDTH, stderr=True).print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+    """Prints the name of a file that was written, without wrapping it."""
+    _console().print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _console() -> Console:
