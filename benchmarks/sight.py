@@ -139,7 +139,7 @@ def judge(found: dict[str, Rows]) -> None:
         Target("tracking, faster by", lambda r: ratio(r["then"], GICP)["ratio"], 3, False, unit="x"),
     ]
     cells = [target.row(found) for target in wanted]
-    report.print_table("Sight: targets", ["", "measured", "wanted", ""], cells)
+    report.print_table("Sight: targets", ["", "measured", "wanted", ""], cells, detail=True)
 
 
 @report.or_skip

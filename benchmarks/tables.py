@@ -31,11 +31,13 @@ def correction(rows: list[Row]) -> None:
     for object_name, error in dict.fromkeys((row["object"], row["error"]) for row in rows):
         mine = report.chosen(shown, object=object_name, error=error)
         title = f"Correction: {object_name}, five contacts, vision off by {error}"
-        note = "normals, prior: whether it can use them. mm, deg: medians of the successes."
-        plain(title, mine, columns | {"repeats": "problems"}, note)
+        plain(title, mine, columns | {"repeats": "problems"})
+    report.say("normals, prior: whether it can use them. mm, deg: medians of the successes.")
 
 
-def plain(title: str, rows: Iterable[Row], columns: dict[str, str], note: str = "") -> None:
+def plain(
+    title: str, rows: Iterable[Row], columns: dict[str, str], note: str = "", *, detail: bool = False
+) -> None:
     """Rows with some of their keys: `columns` maps key to heading; seconds get units."""
     cells = []
     for row in rows:
@@ -43,7 +45,7 @@ def plain(title: str, rows: Iterable[Row], columns: dict[str, str], note: str = 
             cells.append([str(row["name"]), str(row["failed"]), *[""] * (len(columns) - 2)])
         else:
             cells.append([_cell(key, row.get(key)) for key in columns])
-    report.print_table(title, list(columns.values()), cells, note)
+    report.print_table(title, list(columns.values()), cells, note, detail=detail)
 
 
 def _cell(key: str, value: Any) -> str:
@@ -98,7 +100,7 @@ def everything(results: dict[str, Any]) -> None:
     correction(sections.get("correction", []))
     for name, (title, columns, note) in OTHERS.items():
         if found := sections.get(name):
-            plain(title, found, columns, note)
+            plain(title, found, columns, note, detail=name == "closest")
     if results["ratios"]:
         ratios(results["ratios"])
     report.print_table(

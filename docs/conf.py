@@ -23,6 +23,7 @@ myst_heading_anchors = 4
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
+autodoc_default_options = {"members": True}
 
 _MARKUP = re.compile(r"``.+?``|`.+?`|[*|_](?=\S)|(?<=\w)_", re.DOTALL)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import _picture
 import handsight as hs
 
 model = hs.ObjectModel.box((0.06, 0.09, 0.14))
@@ -24,3 +25,6 @@ print("position [mm]:", np.round(1e3 * estimate.T_palm_object[:3, 3], 1))
 print("sigma [mm]:   ", np.round(1e3 * np.sqrt(np.diagonal(estimate.covariance))[:3], 2))
 print("consistent:", estimate.consistent, " outliers:", estimate.outliers)
 print("unobservable directions:", len(estimate.unobservable))
+
+poses = {"vision": T_palm_vision, "corrected": estimate.T_palm_object}
+_picture.bodies("One correction, in the palm", model, poses, contacts.points_palm, contacts.normals_palm)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import _picture
 import handsight as hs
 from handsight import se3
 
@@ -26,5 +27,9 @@ contact = hs.contact_from_wrench(force, torque, tip)
 if contact:
     print("point [mm]:", np.round(1e3 * contact.point, 2), " normal:", np.round(contact.normal, 2))
     print(f"normal force {contact.force_normal:.2f} N")
+    around, along = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(0, 0.5 * np.pi, 20))
+    cap = [np.cos(around) * np.cos(along), np.sin(around) * np.cos(along), np.sin(along)]
+    clouds = {"fingertip": np.reshape(cap, (3, -1)).T * tip.semi_axes}
+    _picture.bodies("A contact on a fingertip", None, {}, contact.point[None], contact.normal[None], clouds)
 else:
     print("no contact:", contact.reason)

@@ -4,6 +4,9 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+import _picture
 import handsight as hs
 from handsight.recording import RecordingWriter, TrackRow, open_recording, write_track_mcap, write_track_tum
 from handsight.rig.save import write as write_rig
@@ -41,7 +44,10 @@ write_track_mcap(folder / "can-track.mcap", rows, frame=rig.frames["palm"])
 print(f"{observations} observations, {len(rows)} poses, {tracker.corrections} corrections")
 print(f"at the end: {tracker.state}, sigma {1e3 * tracker.sigma:.1f} mm")
 
-T_true = truth[-1][1]
-error = rows[-1].T_palm_object[:3, 3] - T_true[:3, 3]
-print("error of the position [mm]:", (1e3 * error).round(1))
+stamps = np.array([row.stamp for row in rows])
+nearest = np.abs(stamps[:, None] - [stamp for stamp, _ in truth]).argmin(axis=1)
+positions = np.array([row.T_palm_object[:3, 3] for row in rows])
+errors = 1e3 * np.linalg.norm(positions - np.array([truth[k][1][:3, 3] for k in nearest]), axis=1)
+print(f"error of the position [mm]: {errors[0]:.1f} at first, {errors[-1]:.1f} at the end")
+_picture.over_time("A recording, tracked", stamps - stamps[0], {"error of the position": errors})
 temporary.cleanup()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
+import _picture
 import handsight as hs
 from handsight import se3
 from handsight.observation import PoseMeasurement
@@ -57,3 +58,9 @@ with open_recording(folder / "allegro.mcap", rig) as recording:
     estimates = [tracker.update(observation) for observation in recording.observations()]
 errors = [1e3 * np.linalg.norm((each.T_palm_object - T_palm_can)[[0, 2], 3]) for each in estimates]
 print(f"{tracker.state}: {errors[0]:.1f} mm off the can's axis by vision, {errors[-1]:.1f} mm with touch")
+
+found = tracker.fingertips.contacts
+poses = {"vision": T_palm_vision, "tracked": estimates[-1].T_palm_object}
+links = {"links": rig.hand.shape().vertices_palm(joints)[::5]}
+model = rig.objects["can"].model()
+_picture.bodies("An Allegro hand on a can", model, poses, found.points_palm, found.normals_palm, links)

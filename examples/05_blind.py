@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import _picture
 import handsight as hs
 
 model = hs.ObjectModel.cylinder(radius=0.033, height=0.115)
@@ -15,3 +16,6 @@ for mode in estimate.hypotheses:
     middle, axis = 1e3 * mode.T_palm_object[:3, 3], mode.T_palm_object[:3, 2]
     print(f"probability {mode.weight:.2f}: middle at {np.round(middle)} mm, axis {np.round(axis, 2)}")
 print(f"{len(estimate.unobservable)} unobservable directions: the can may slide and spin between the fingers")
+
+poses = {f"probability {mode.weight:.2f}": mode.T_palm_object for mode in estimate.hypotheses}
+_picture.bodies("Poses that fit three contacts", model, poses, points, normals)

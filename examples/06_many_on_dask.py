@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+import _picture
 from handsight import se3
 from handsight.batch import answering
 
@@ -46,7 +47,9 @@ def problem(rng: np.random.Generator) -> tuple[bytes, np.ndarray]:
 if __name__ == "__main__":  # workers are processes that read this file again
     rng = np.random.default_rng(0)
     lines, truths = zip(*(problem(rng) for _ in range(200)), strict=True)
-    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
         source = io.BufferedReader(io.BytesIO(b"\n".join(lines)))
         with answering(source, Path.cwd(), cluster=cluster.scheduler_address) as answered:
             answers = [json.loads(text) for _, some in answered for text in some.texts]
@@ -55,3 +58,13 @@ if __name__ == "__main__":  # workers are processes that read this file again
     print(
         f"{len(answers)} boxes, median error {np.median(errors):.2f} mm, 90 % below {np.quantile(errors, 0.9):.2f} mm"
     )
+    seen = np.array([json.loads(line)["vision"]["position"] for line in lines])
+    before = 1e3 * np.linalg.norm(seen - np.array(truths)[:, :3, 3], axis=1)
+    if (plt := _picture.pyplot()) is not None:
+        axes = plt.subplots(figsize=(8, 4.2), layout="constrained")[1]
+        bins = np.geomspace(0.1, 200, 40)
+        axes.hist(before, bins, color="#808080", alpha=0.7, label="vision")
+        axes.hist(errors, bins, color="#e0a100", alpha=0.7, label="corrected")
+        axes.set(xscale="log", xlabel="error of the position [mm]", ylabel="boxes", title="Two hundred boxes")
+        axes.legend()
+        _picture.save(plt)

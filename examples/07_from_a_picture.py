@@ -5,6 +5,7 @@ from importlib.resources import files
 
 import numpy as np
 
+import _picture
 import handsight as hs
 from handsight import se3
 from handsight.vision import hand_mask, locate, read_camera, read_depth
@@ -56,3 +57,17 @@ def axis_off(T_palm_object: np.ndarray) -> float:
 print(
     f"axis off by {axis_off(T_palm_vision):.1f} mm by vision, {axis_off(estimate.T_palm_object):.1f} mm with touch"
 )
+if (plt := _picture.pyplot()) is not None:
+    axes = plt.subplots(figsize=(8, 6), layout="constrained")[1]
+    axes.imshow(np.where(depth > 0, depth, np.nan), cmap="Greys_r")
+    axes.imshow(np.where(hand, 1.0, np.nan), cmap="cool", alpha=0.3)
+    surface = model.sample(400)[0]
+    for label, T_palm_can, color in (
+        ("vision", T_palm_vision, "cyan"),
+        ("with touch", estimate.T_palm_object, "orange"),
+    ):
+        pixels = camera.project(se3.apply(T_camera_palm @ T_palm_can, surface))
+        axes.plot(*pixels.T, ".", color=color, markersize=2, label=label)
+    axes.set(title="The can in the depth image; the hand is tinted", xticks=[], yticks=[])
+    axes.legend(markerscale=5)
+    _picture.save(plt)

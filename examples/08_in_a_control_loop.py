@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import _picture
 import handsight as hs
 from handsight.simulation import Scenario, rig_of, simulate
 from handsight.tracking import TrackerSettings
@@ -13,6 +14,7 @@ model = hs.ObjectModel.box((0.06, 0.09, 0.14))
 
 tracker = hs.Tracker(rig, model, settings=TrackerSettings(rate=25))
 reported = None
+curve = []  # time, error and sigma [s, mm]
 for sample in simulate(scenario):
     robot = sample.observation
     observation = hs.Observation(
@@ -25,6 +27,8 @@ for sample in simulate(scenario):
     estimate = tracker.update(observation)
     if estimate is None:
         continue  # nothing is known before vision's first pose
+    off = np.linalg.norm(estimate.T_palm_object[:3, 3] - sample.T_palm_object[:3, 3])
+    curve.append((observation.stamp, 1e3 * off, 1e3 * tracker.sigma))
     if (tracker.state, tracker.fingertips.fingers) != reported:
         reported = tracker.state, tracker.fingertips.fingers
         touching = ", ".join(tracker.fingertips.fingers) or "nothing"
@@ -48,3 +52,6 @@ print(
     "±",
     (1e3 * np.sqrt(covariance.diagonal()[:3])).round(),
 )
+
+seconds, off, sigma = np.array(curve).T
+_picture.over_time("In a control loop", seconds - seconds[0], {"error of the position": off, "sigma": sigma})

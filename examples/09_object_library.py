@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import _picture
 import handsight as hs
 from handsight.objects import Facts, Library, declared_symmetries
 
@@ -30,6 +31,13 @@ entry = library.add(
 print(f"{entry.name}: object {entry.number}, {1e3 * entry.diameter:.0f} mm, {entry.facts.mass} kg")
 
 model = hs.ObjectModel.from_library("tea", folder / "library")
-contacts = hs.Contacts([[0.030, 0.01, 0.02], [-0.030, 0.01, 0.02]], sigma_point=1e-3)
+normals = [[1, 0, 0], [-1, 0, 0]]
+contacts = hs.Contacts(
+    [[0.040, 0.01, 0.02], [-0.020, 0.01, 0.02]], normals, sigma_point=1e-3, sigma_normal=0.1
+)
 vision = hs.PosePrior.from_sigmas(np.eye(4), sigma_position=0.01, sigma_rotation=0.1)
-print(hs.correct_pose(model, contacts, vision=vision).T_palm_object.round(4))
+estimate = hs.correct_pose(model, contacts, vision=vision)
+print(estimate.T_palm_object.round(4))
+
+poses = {"vision": np.eye(4), "corrected": estimate.T_palm_object}
+_picture.bodies("tea, from the library", model, poses, contacts.points_palm, contacts.normals_palm)

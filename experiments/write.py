@@ -35,7 +35,8 @@ def output_of(module: str, options: list[str]) -> str:
         assert process.stdout is not None
         for line in process.stdout:
             print(line, end="", flush=True)
-            lines.append(line.rstrip())
+            if not line.startswith("wrote "):  # names of files, which are no part of a result
+                lines.append(line.rstrip())
     if process.returncode:
         sys.exit(process.returncode)
     return "\n".join(lines)

@@ -214,11 +214,13 @@ def count(rows: Rows) -> str:
     return str(len(rows))
 
 
-def print_by(title: str, rows: Rows, keys: str, cells: Mapping[str, Cell], note: str = "") -> None:
+def print_by(
+    title: str, rows: Rows, keys: str, cells: Mapping[str, Cell], note: str = "", *, detail: bool = False
+) -> None:
     """Prints a line for each combination of the columns `keys`, which commas separate, by the cells' titles."""
     names = keys.split(", ")
     lines = [[*key, *(cell(mine) for cell in cells.values())] for key, mine in groups(rows, names).items()]
-    print_table(title, [*names, *cells], lines, note)
+    print_table(title, [*names, *cells], lines, note, detail=detail)
 
 
 def print_grouped(
@@ -229,18 +231,24 @@ def print_grouped(
 
 
 def print_table(
-    title: str, columns: str | Sequence[str], rows: Iterable[Sequence[object]], note: str = ""
+    title: str,
+    columns: str | Sequence[str],
+    rows: Iterable[Sequence[object]],
+    note: str = "",
+    *,
+    detail: bool = False,
 ) -> None:
     """Prints a table, its first column aligned left and numbers right, with a note below.
 
-    columns: their titles, in a text separated by " | ".
+    columns: their titles, in a text separated by " | ". detail: a table that is only shown, on stderr, so that
+    `experiments.write` leaves it out of the manual.
     """
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=(0, 1, 0, 0))
     for i, name in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
         table.add_column(name, justify="right" if i else "left")
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
-    console = _console()
+    console = Console(width=WIDTH, stderr=True) if detail else _console()
     console.print(table)
     if note:
         console.print(note, style="dim")

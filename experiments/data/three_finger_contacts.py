@@ -173,7 +173,7 @@ def main() -> None:
     rows = [row for part in ycb.in_parallel(solve, tasks, "three fingers") for row in part]
     print_scores(rows)
     blind = report.chosen(rows, vision="blind")
-    report.print_by("Blind, by object: medians of 4 problems", blind, "object", BLIND)
+    report.print_by("Blind, by object: medians of 4 problems", blind, "object", BLIND, detail=True)
     report.write_csv(options.output / "three_finger_contacts.csv", rows)
 
 

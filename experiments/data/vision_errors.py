@@ -149,6 +149,7 @@ def print_sigmas(sigmas: dict[str, dict[str, Sigmas]]) -> None:
         ["estimator", "across the ray, mm", "along it, mm", "tilt, °", "roll, °"],
         lines,
         f"One rule for all: the {100 * ONE_SIGMA:.0f} % quantile of |error|; every object counts the same.",
+        detail=True,
     )
 
 
@@ -198,7 +199,9 @@ def print_objects(rows: Rows) -> None:
 
     rows = sorted((row for row in rows if row["contacts"]), key=lambda row: (row["object"], row["contacts"]))
     title = f"By object: median ADD-S in mm, before -> after (share of poses worse by > {WORSE:.0f} mm)"
-    report.print_by(title, rows, "object, contacts", {label: of(label) for label in ycb.ESTIMATORS})
+    report.print_by(
+        title, rows, "object, contacts", {label: of(label) for label in ycb.ESTIMATORS}, detail=True
+    )
 
 
 def main() -> None:

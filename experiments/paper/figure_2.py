@@ -24,6 +24,8 @@ from testbed.report import Array, Row, Rows
 
 METHOD = paper.PaperMethod()
 LEAST = (25, 50, 100, 200, 400, 800, 1600)
+SHOWN = (50, 200, 800)
+"""What the table has; the figure has all."""
 DIGITS = {
     "points": 0, "reach_cm": 2, "grown_share": 2, "cloud_share": 3, "holds_true_point": 2, "holds_all_four": 2
 }  # fmt: skip
@@ -101,7 +103,8 @@ def print_tables(rows: Rows, options: report.Options) -> None:
         "than ε. cloud_share: of the cloud. holds: share of contacts, and of trials, whose regions hold what is "
         "truly touched."
     )
-    report.print_grouped("Regions of eq. 2, ε = 2 cm", rows, ("shape", "least_points"), DIGITS, note)
+    shown = [row for row in rows if row["least_points"] in SHOWN]
+    report.print_grouped("Regions of eq. 2, ε = 2 cm", shown, ("shape", "least_points"), DIGITS, note)
     for shape, model, scene, found in first_of_each(options):
         regions, whole = seconds_per_evaluation(model, scene, found, 60 if options.quick else 400)
         report.say(

@@ -131,7 +131,7 @@ def show_real(rows: Rows) -> None:
         "ADD-S mm at first": report.where(report.of("mm", ".1f"), image=0),
         "then": lambda rows: report.of("mm", ".1f", np.median)(rows[-5:]),
     }
-    report.print_by("Drift over the twenty real frames", plain, "object, begin", drift)
+    report.print_by("Drift over the twenty real frames", plain, "object, begin", drift, detail=True)
 
 
 def bin_of(row: Row) -> str:

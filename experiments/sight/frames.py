@@ -269,15 +269,18 @@ def show(rows: Rows) -> None:
         "First poses in real depth images", several + every, "told, scene", ANSWERS, "wrong: by ADD-S."
     )
     note = f"inside: of 95 % regions; truth's: with its own error of {1e3 * SIGMA_TRUTH:g} mm."
-    report.print_by("BOP's average recall, regions, times", several + every, "told, scene", RECALLS, note)
+    report.print_by(
+        "BOP's average recall, regions, times", several + every, "told, scene", RECALLS, note, detail=True
+    )
     by_object = sorted(there, key=lambda row: str(row["object"]))
-    report.print_by("By object", by_object, "object, told", BY_OBJECT)
+    report.print_by("By object", by_object, "object, told", BY_OBJECT, detail=True)
     absent = [row | {"sure": row["probability"] > 0.5} for row in rows if row["told"].startswith("absent")]
     report.print_by("Absent objects", absent, "told", ABSENT)
-    report.print_by("Which of all objects", [row for row in there if "named_right" in row], "told", WHICH)
+    named = [row for row in there if "named_right" in row]
+    report.print_by("Which of all objects", named, "told", WHICH, detail=True)
     cells = [[f"{p:.2f}", f"{right:.2f}", n] for p, right, n in reliability(rows)]
     note = "Present and absent objects count half each."
-    report.print_table("Probabilities", "mean | right | n", cells, note)
+    report.print_table("Probabilities", "mean | right | n", cells, note, detail=True)
 
 
 def reliability(rows: Rows) -> list[tuple[float, float, int]]:

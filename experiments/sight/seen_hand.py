@@ -154,8 +154,9 @@ def main() -> None:
     report.print_by("Beliefs", usual, "belief", CELLS)
     for name in ("40 mm, 4°", "simulator"):
         title = f"What the object covers of the hand: {name}"
-        report.print_by(title, report.chosen(usual, belief=name), "covered", CELLS)
-    report.print_by("Joints, 40 mm, 4°", report.chosen(rows, belief="40 mm, 4°"), "joints", CELLS)
+        report.print_by(title, report.chosen(usual, belief=name), "covered", CELLS, detail=True)
+    turned = report.chosen(rows, belief="40 mm, 4°")
+    report.print_by("Joints, 40 mm, 4°", turned, "joints", CELLS, detail=True)
     report.write_csv(options.output / "seen_hand.csv", rows)
 
 

@@ -234,7 +234,9 @@ def print_ycb(rows: Rows) -> None:
     note = (
         f"found: says so within {MAX_TOUCHES} touches, and is located; errors: medians; seconds of a CPU core"
     )
-    report.print_by("Ten YCB objects, by information (synthetic)", rows + every, "object", cells, note)
+    report.print_by(
+        "Ten YCB objects, by information (synthetic)", rows + every, "object", cells, note, detail=True
+    )
 
 
 if __name__ == "__main__":

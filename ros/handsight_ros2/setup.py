@@ -5,7 +5,7 @@ from setuptools import setup
 NAME = "handsight_ros2"
 setup(
     name=NAME,
-    version="0.2.0",
+    version="1.0.0",
     packages=[NAME],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

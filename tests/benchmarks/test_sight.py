@@ -26,7 +26,7 @@ def test_the_bin_with_the_smallest_lead_counts():
 
 def test_a_target_that_a_missing_peer_leaves_open_says_so(capsys):
     sight.judge({"first": [], "then": []})
-    assert capsys.readouterr().out.count("not measured") == 4
+    assert capsys.readouterr().err.count("not measured") == 4
 
 
 @pytest.mark.parametrize("name", peers.FIRST_POSES)

@@ -69,3 +69,12 @@ def test_without_data_an_experiment_says_so_and_ends_well(tmp_path, monkeypatch,
         ycb.data_or_goodbye()
     assert ended.value.code == 0
     assert f"HANDSIGHT_DATA={tmp_path} has no ycb_meshes" in capsys.readouterr().out
+
+
+def test_a_detail_is_shown_and_left_out_of_the_manual(capsys):
+    for name, detail in (("kept", False), ("aside", True)):
+        report.print_table(name, "a | b", [["x", 1]], detail=detail)
+    shown = capsys.readouterr()
+    assert "kept" in shown.out
+    assert "aside" not in shown.out
+    assert "aside" in shown.err

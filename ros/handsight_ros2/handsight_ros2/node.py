@@ -4,7 +4,7 @@
 Parameters: rig (the rig file), object (its name in the rig, in the library, or a mesh file; may be left out where the
 rig knows one), rate (corrections a second; 0: one when something changed), images (use depth images, true), equal
 (answer as `handsight track` does with a recording, 0.2 s later, false), view (port of a page that shows it in the
-browser; 0: none). Topics are the rig's: see docs/ros2.md.
+browser; 0: none). Topics are the rig's: see docs/live.md.
 """
 
 import re

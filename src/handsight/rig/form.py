@@ -1,6 +1,6 @@
 """The keys of a `rig.yaml`, each declared once: its type, its bounds, and the comment that is written beside it.
 
-docs/robots.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to; a
+docs/rig_file.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to; a
 field has the name of that part's attribute. Lengths are in metres, angles in degrees, forces in newtons. Every sigma is
 one standard deviation per axis.
 """

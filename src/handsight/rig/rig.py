@@ -345,7 +345,7 @@ class Rig:
 
     @classmethod
     def from_file(cls, path: str | Path) -> "Rig":
-        """Returns the rig of a YAML file; docs/robots.md shows one.
+        """Returns the rig of a YAML file; docs/rig_file.md shows one.
 
         Raises an InvalidFile with file, line, and the nearest valid name if there is one.
         """
