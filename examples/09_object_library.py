@@ -29,7 +29,7 @@ entry = library.add(
 )
 print(f"{entry.name}: object {entry.number}, {1e3 * entry.diameter:.0f} mm, {entry.facts.mass} kg")
 
-model = hs.ObjectModel.from_library("tea", folder / "library")
+model = library.model("tea")
 contacts = hs.Contacts([[0.030, 0.01, 0.02], [-0.030, 0.01, 0.02]], sigma_point=1e-3)
 vision = hs.PosePrior.from_sigmas(np.eye(4), sigma_position=0.01, sigma_rotation=0.1)
 print(hs.correct_pose(model, contacts, vision=vision).T_palm_object.round(4))

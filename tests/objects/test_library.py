@@ -221,7 +221,7 @@ def test_declared_symmetries_that_the_surface_does_not_have_are_refused(words):
 def test_the_library_is_the_one_that_the_environment_names(tmp_path, monkeypatch):
     Library(tmp_path / "named").add(block(tmp_path), Facts(name="block"))
     monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "named"))
-    assert ObjectModel.from_library("block").name == "block"
+    assert Library().model("block").name == "block"
     monkeypatch.delenv("HANDSIGHT_LIBRARY")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     shutil.copytree(tmp_path / "named", tmp_path / "data/handsight/library")

@@ -26,6 +26,7 @@ from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import MAX_SIZE, MIN_SIZE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
+from handsight.objects.symmetry_search import check_symmetries
 
 
 class ModelRecord(NamedTuple):
@@ -102,7 +103,7 @@ USUAL_SIGMA = 2e-3  # standard deviation per axis of a centre of mass that is gi
 class ObjectModel(Geometry):
     """Geometry of an object's surface, with the object's name, symmetries and weight.
 
-    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`.
+    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_mesh`, `from_points`, or by `Library.model`.
     """
 
     name: str
@@ -216,30 +217,12 @@ class ObjectModel(Geometry):
         return cls._from(cache.remembered(name, build), file.stem)
 
     @classmethod
-    def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
-        """Returns the object with that name in a library, with the symmetries and the weight declared there.
-
-        `library`: a folder or a URL; None: `$HANDSIGHT_LIBRARY`, else the user's own. Raises InvalidInput for an
-        unknown name, InvalidFile where there is no library or the object's file is not the one that was added.
-        """
-        # At the top of the file this would be a circular import: a library builds models.
-        from handsight.objects.library import Library
-
-        return Library(library).model(name)
-
-    @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries = NONE) -> Self:
         """Returns a model with these symmetries, and issues the geometry's remarks as warnings."""
         parts = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
         return cls(**parts, name=name, symmetries=symmetries)
-
-    def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
-        """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
-        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-            raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
-        return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
         """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput. `fine`: from the sharp
@@ -273,9 +256,6 @@ class ObjectModel(Geometry):
 
         They move it where more than 2 % of its points end farther from it than 4 % of the diameter.
         """
-        # At the top of the file this would be a circular import: the search for symmetries needs models.
-        from handsight.objects.symmetry_search import check_symmetries
-
         found = dataclasses.replace(self, symmetries=symmetries)
         check_symmetries(self, symmetries)
         return found

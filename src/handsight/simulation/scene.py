@@ -18,7 +18,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra, needing
 from handsight.hand.couplings import Law
-from handsight.objects import ObjectModel
+from handsight.objects import Library
 from handsight.rig import Rig
 from handsight.simulation.hand_in_world import LINKAGE, Follower, HandInWorld, TipInWorld, hand_of
 from handsight.simulation.scenario import OBJECT_MASS, STEPS_PER_SECOND, TORSION_ARM
@@ -338,7 +338,7 @@ def convex_hull(path: str) -> tuple[Array, Any]:
 
     from handsight.objects.files import read_shape
 
-    shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
+    shape = read_shape(path) if Path(path).suffix else Library().model(path)
     vertices = shape.vertices
     name = Path(path).name
     extent = float(np.ptp(vertices, axis=0).max())

@@ -8,7 +8,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
-from handsight.objects.meshes.repair import components, repaired, side_samples
+from handsight.objects.meshes.repair import repaired, side_samples
+from handsight.objects.pieces import components
 from handsight.objects.scans.scan import smoothed
 from handsight.objects.surface import MAX_HOLE, Triangles, diameter, unit
 
