@@ -146,16 +146,14 @@ class ObjectModel(Geometry):
     @classmethod
     def cylinder(cls, radius: float, height: float) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        lengths = (
-            float(_lengths(value, name, ())) for value, name in ((radius, "radius"), (height, "height"))
-        )
+        lengths = _length(radius, "radius"), _length(height, "height")
         geometry, own = primitives.cylinder(*lengths)
         return cls._from(geometry, "cylinder", own)
 
     @classmethod
     def sphere(cls, radius: float) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        geometry, own = primitives.sphere(float(_lengths(radius, "radius", ())))
+        geometry, own = primitives.sphere(_length(radius, "radius"))
         return cls._from(geometry, "sphere", own)
 
     @classmethod
@@ -320,6 +318,10 @@ def _lengths(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Arra
     return lengths
 
 
+def _length(value: ArrayLike, name: str) -> float:
+    return float(_lengths(value, name, ()))
+
+
 def _of_mesh(mesh: Triangles) -> Geometry:
     # An object from the cache does not need SciPy, which this imports.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
@@ -354,9 +356,8 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
         raise InvalidObject(
             f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
         )
-    low = triangles.min()
-    high = triangles.max()
     last = len(points) - 1
-    if low < 0 or high > last:
-        raise InvalidObject(f"faces: expected indices 0 to {last}, got {low} to {high}")
+    if triangles.min() < 0 or triangles.max() > last:
+        came = f"{triangles.min()} to {triangles.max()}"
+        raise InvalidObject(f"faces: expected indices 0 to {last}, got {came}")
     return Triangles(points, triangles.astype(np.int64))

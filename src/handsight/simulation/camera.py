@@ -18,7 +18,7 @@ from handsight import checks, se3
 from handsight.camera import Depth
 from handsight.checks import Array
 from handsight.errors import MissingExtra
-from handsight.simulation.scenario import Nuisances, Scenario
+from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import (
     FOCAL_LENGTH,
     IMAGE_SIZE,
@@ -59,10 +59,11 @@ CALIBRATED_CAMERA = camera_facing(
 )  # T_world_camera (4, 4) of the robot's rig
 
 
-def calibration_error(nuisances: Nuisances, seed: int) -> Array:
+def calibration_error(scenario: Scenario) -> Array:
     """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them. It is
     a constant rotation about `TARGET` and a constant shift, drawn by the seed."""
-    draw = np.random.default_rng((seed, 4)).normal(size=6)
+    nuisances = scenario.nuisances
+    draw = scenario.stream(4).normal(size=6)
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)
     shift = draw[:3] * [plane, plane, nuisances.camera_height]
@@ -77,8 +78,7 @@ def moved_about_target(shift: Array, rotation: Array) -> Array:
 
 def true_camera(scenario: Scenario) -> Array:
     """Returns the true T_camera_world (4, 4) of the robot's camera; the rig's own is wrong by `calibration_error`."""
-    error = calibration_error(scenario.nuisances, int(scenario.seed))
-    return np.asarray(se3.inverse(CALIBRATED_CAMERA) @ error)
+    return se3.inverse(CALIBRATED_CAMERA) @ calibration_error(scenario)
 
 
 def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:

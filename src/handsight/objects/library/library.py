@@ -12,6 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+import msgspec
 import numpy as np
 
 from handsight import checks
@@ -158,15 +159,10 @@ class Library:
         entry = self.entry(name)
         if entry.facts is None:
             raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
-        x, y, z = (float(value) for value in np.round(center_of_mass, 6))
-        facts = Facts(
-            name=entry.facts.name,
-            licence=entry.facts.licence,
-            source=entry.facts.source,
-            origin_file=entry.facts.origin_file,
-            sigma_scale=entry.facts.sigma_scale,
+        facts = msgspec.structs.replace(
+            entry.facts,
             mass=round(mass, 6),
-            center_of_mass=(x, y, z),
+            center_of_mass=tuple(np.round(center_of_mass, 6).tolist()),
             sigma_center_of_mass=round(float(sigma_center_of_mass), 6),
         )
         check_inside(facts, self.model(name))

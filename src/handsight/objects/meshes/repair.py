@@ -30,8 +30,9 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
         near = cKDTree(points[used]).query_pairs(1e-4 * extent, output_type="ndarray")
         if len(near):
             label = components(near[:, 0], near[:, 1], len(used))
+            _, first = np.unique(label, return_index=True)
             which = np.arange(len(points))
-            which[used] = used[np.unique(label, return_index=True)[1][label]]
+            which[used] = used[first[label]]
             triangles = which[triangles]
             # A triangle between two such corners has become a line.
             triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
@@ -96,8 +97,9 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
     # A patch has a winding number of -0.5 in front of it, a turned solid of -1.
     inverted = np.zeros(count, dtype=bool)
-    for k in np.unique(piece[face]):
-        inverted[k] = np.median(front[piece[face] == k]) < -0.55
+    of_sample = piece[face]
+    for k in np.unique(of_sample):
+        inverted[k] = np.median(front[of_sample == k]) < -0.55
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
