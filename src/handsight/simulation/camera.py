@@ -93,15 +93,18 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     if noise.edges > 0:  # more behind edges
         there = np.where(z > 0, z, np.float32(np.inf))
         nearest = minimum_filter(there, 2 * noise.edge_width + 1, mode="constant", cval=np.inf)
-        dropouts[z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))] = noise.edges
+        behind = z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))
+        dropouts[behind] = noise.edges
     known &= rng.random(z.shape, dtype=np.float32) >= dropouts
     z = _laterally_displaced(z, noise.lateral, rng)
     known &= (z > noise.nearest) & (z < noise.farthest)
     z = np.where(known, z, np.float32(1))
     a, b, c = map(np.float32, noise.axial)
-    step = np.float32(noise.step) * z * z
+    coarse = np.float32(noise.step)
+    step = coarse * z * z
     # The axial noise includes rounding, which is uniform over a step.
-    sigma = np.sqrt(np.maximum(np.square(a + z * (b + z * c)) - step * step / 12, 0))
+    axial = a + z * (b + z * c)
+    sigma = np.sqrt(np.maximum(np.square(axial) - step * step / 12, 0))
     # Part of the noise is correlated; both parts come from the same numbers, half an image apart.
     drawn = _white(z.shape, rng)
     share = np.float32(noise.correlated)
@@ -109,10 +112,11 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     grain *= np.sqrt(share)
     grain += np.sqrt(1 - share) * np.roll(drawn, (z.shape[0] // 2, z.shape[1] // 2), axis=(0, 1))
     offset, smooth = _constant_errors(z.shape, noise.smooth_length, seed)
-    z = z + sigma * grain + (np.float32(noise.offset) * offset + np.float32(noise.smooth) * smooth * z * z)
+    constant = np.float32(noise.offset) * offset + np.float32(noise.smooth) * smooth * z * z
+    z = z + sigma * grain + constant
     if noise.step > 0:
-        disparity = np.rint(1 / (np.float32(noise.step) * np.maximum(z, np.float32(0.01))))
-        z = np.asarray(1 / (np.float32(noise.step) * np.maximum(disparity, 1)), dtype=np.float32)
+        disparity = np.rint(1 / (coarse * np.maximum(z, np.float32(0.01))))
+        z = np.asarray(1 / (coarse * np.maximum(disparity, 1)), dtype=np.float32)
     return np.where(known, z, np.float32(np.nan))
 
 
