@@ -225,7 +225,8 @@ def _places(finger: str, pad: dict[str, Any], others: list[Array]) -> list[Array
     for place in many[np.argsort(np.linalg.norm(many - middle, axis=1))]:
         if len(chosen) == pad["number"]:
             break
-        if all(np.linalg.norm(place - other) > apart for other in (*others, *chosen)):
+        taken = np.array([*others, *chosen]).reshape(-1, 3)
+        if (np.linalg.norm(taken - place, axis=1) > apart).all():
             chosen.append(place)
     return chosen
 
