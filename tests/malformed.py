@@ -11,8 +11,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 import handsight as hs
+from handsight.batch.blocks import blocks
 from handsight.batch.problems import Reader, answer_text
-from handsight.batch.run import blocks
 from handsight.contact import Sphere, convert
 from handsight.errors import HandsightError, InvalidInput
 from handsight.hand import Hand

@@ -21,6 +21,7 @@ from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, 
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.table import on_table
 from testbed.report import Array
+from testbed.touches import forces_object
 
 OBJECTS = ("can", "box")
 OUTSIDE = 500
@@ -146,7 +147,7 @@ def again(trial: Trial, **nuisances: Any) -> Trial | None:
 
 def silent(trial: Trial) -> Counter[str]:
     """Returns how many fingers that truly touch have no contact, by reason."""
-    pushed = trial.sample.forces_object
+    pushed = forces_object(trial.sample)
     return Counter(reason for name, reason in trial.touch.reasons.items() if pushed.get(name, 0.0) > 0.1)
 
 

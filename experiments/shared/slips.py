@@ -4,6 +4,7 @@ import numpy as np
 
 from handsight.simulation import Nuisances, Profile, Sample, Scenario
 from testbed.report import Array, Row
+from testbed.touches import forces_object
 
 PRESSED = 0.2
 """Force on a tip below which it is ignored [N]."""
@@ -27,7 +28,7 @@ def scenario(name: str, seed: int, rate: float) -> Scenario:
 
 def speed(sample: Sample) -> float:
     """Returns the smallest slip speed among the tips that press the object [m/s]; 0 where none does."""
-    forces = sample.forces_object
+    forces = forces_object(sample)
     return min((t.speed for finger, t in sample.touches.items() if forces[finger] > PRESSED), default=0.0)
 
 

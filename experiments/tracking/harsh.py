@@ -24,8 +24,11 @@ from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
-from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate_each
+from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
+from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import FREE_AT
+from handsight.simulation.simulate import Sensors, samples
+from handsight.simulation.world import World
 from testbed import report, scenes, ycb
 from testbed.report import Array, Row, Rows
 
@@ -131,7 +134,14 @@ CASES = {
     "pyramid": Case("pyramidal friction", usual(pyramidal_friction=1.0)),
     "harsh": Case("harsh world: everything", Nuisances.harsh),
 }
-"""Rows by name. Those with the same `Nuisances.shares_world` share a simulation."""
+"""Rows by name. Those of one `physical` share a simulation."""
+
+
+def physical(n: Nuisances) -> tuple[float, ...]:
+    """Returns the nuisances that change what happens; all others change what is measured, or what is believed."""
+    pull = n.pull_force, n.pull_torque, n.unsensed_force, n.support_force
+    touch = n.friction, n.tip_size, n.contact_softness, n.pyramidal_friction, n.coupled_joint
+    return (n.object_mass, n.object_off_center, *pull, *touch)
 
 
 def objects() -> dict[str, str]:
@@ -158,25 +168,28 @@ def runs(name: str, seed: int, keys: tuple[str, ...], rate: float) -> Rows:
     scenario = Scenario(object=objects()[name], seed=seed, motion="manipulate", rate=rate)
     wanted, found = {key: CASES[key].nuisances(seed) for key in keys}, {}
     while wanted:
-        world = next(iter(wanted.values()))
-        here = {key: n for key, n in wanted.items() if n.shares_world(world)}
+        truth = next(iter(wanted.values()))
+        here = {key: n for key, n in wanted.items() if physical(n) == physical(truth)}
         wanted = {key: n for key, n in wanted.items() if key not in here}
         variants = list(dict.fromkeys(here.values()))
         recorded: list[list[Sample]] = [[] for _ in variants]
         try:
-            for instant in simulate_each(replace(scenario, nuisances=world), variants):
-                for samples, sample in zip(recorded, instant, strict=True):
+            here_scenario = replace(scenario, nuisances=truth)
+            world = World(here_scenario, grasp_for(scenario.object, seed))
+            sensors = [Sensors(replace(scenario, nuisances=n), world) for n in variants]
+            for instant in samples(here_scenario, world, sensors):
+                for run, sample in zip(recorded, instant, strict=True):
                     if sample is not None:
-                        samples.append(replace(sample, configuration=np.empty(0)))
-                if any(samples and samples[-1].dropped for samples in recorded):
+                        run.append(replace(sample, configuration=np.empty(0)))
+                if any(run and run[-1].dropped for run in recorded):
                     break  # such a run is left out, and what falls off a table falls for the rest of it
         except hs.InvalidObject:  # thrown away by the simulator
             continue
         for key, n in here.items():
-            samples = recorded[variants.index(n)]
-            if not any(sample.dropped for sample in samples):
+            run = recorded[variants.index(n)]
+            if not any(sample.dropped for sample in run):
                 model = told(other_than(name, seed) if key == "other" else name, n)
-                problem = CASES[key].believed(Problem(samples, rig_of(scenario), model))
+                problem = CASES[key].believed(Problem(run, rig_of(scenario), model))
                 found[key] = {"row": key, "object": name, "seed": seed} | judged(problem, told(name, n))
     return [found[key] for key in keys if key in found]
 

@@ -56,6 +56,11 @@ def compose(R: Array, p: Array) -> Array:
     return T
 
 
+def translation(p: ArrayLike) -> Array:
+    """Returns the transform (4, 4) of a translation (3,) [m] alone."""
+    return compose(np.eye(3), np.asarray(p))
+
+
 def inverse(T_a_b: Array) -> Array:
     """Returns `T_b_a`, by transposing the rotation."""
     Rt = np.swapaxes(T_a_b[..., :3, :3], -1, -2)

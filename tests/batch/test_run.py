@@ -15,7 +15,8 @@ import pytest
 
 from batch.fragile_worker import obeyed
 from handsight.batch import answering
-from handsight.batch.run import LONGEST, answered_by, blocks
+from handsight.batch.blocks import LONGEST, blocks
+from handsight.batch.run import answered_by
 from handsight.batch.workers import Answers, Processes, WorkerDied, WorkerFailure
 from handsight.errors import InvalidFile
 

@@ -9,7 +9,14 @@ import trimesh
 from cli.commands import called
 from handsight.recording import Recording
 from handsight.rig import Rig
-from handsight.simulation import GraspSearchResult, Nuisances, constant_errors, grasp_search, read_grasp
+from handsight.simulation import (
+    GraspSearchResult,
+    Nuisances,
+    Scenario,
+    constant_errors,
+    grasp_search,
+    read_grasp,
+)
 from handsight.simulation.motion import CAN
 
 
@@ -66,7 +73,7 @@ def test_a_harsh_world_says_what_it_has_drawn_and_its_rig_does_not_know(tmp_path
     told = json.loads((tmp_path / "box.world.json").read_text(encoding="utf-8"))
     nuisances = dataclasses.replace(Nuisances.harsh(5), force_backlash=0.02, message_loss=0.3)
     assert told["nuisances"] == dataclasses.asdict(nuisances)
-    drawn = constant_errors(nuisances, 5)
+    drawn = constant_errors(Scenario(object="box", nuisances=nuisances, seed=5))
     for field in dataclasses.fields(drawn):
         np.testing.assert_allclose(told["drawn"][field.name], getattr(drawn, field.name))
     rig = Rig.from_file(tmp_path / "box.rig.yaml")

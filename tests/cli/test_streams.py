@@ -168,7 +168,7 @@ def test_tables_are_in_utf_8_whatever_the_terminal_is(folder):
 
 
 def test_a_line_longer_than_any_problem_is_an_error_in_its_place():
-    from handsight.batch.run import LONGEST
+    from handsight.batch.blocks import LONGEST
 
     box = json.dumps(BOX).encode()
     for workers in (1, 2):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingExtra, NotWritten
-from handsight.objects import Facts, Library, ObjectModel, ObjectWarning
+from handsight.objects import Facts, Library, ObjectWarning
 from objects.libraries import block, bop, served
 
 pytest.importorskip("pooch", reason="a library at a URL needs pip install 'handsight[library]'")
@@ -40,7 +40,6 @@ def test_a_requested_object_is_fetched_once_and_nothing_else_is(ours, cache):
             f"/models/{name}" for name in ("models_info.json", "handsight.json", "obj_000001.ply")
         ]
         assert Library(url).entry("block").facts.licence == "CC0"
-        assert ObjectModel.from_library("block", url).name == "block"
         assert len(asked) == 3
     assert len(files(cache)) == 1
 

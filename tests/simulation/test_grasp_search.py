@@ -15,6 +15,7 @@ from handsight.simulation.grasped_body import body_of
 from handsight.simulation.scene import convex_hull, mujoco_module, scene
 from handsight.simulation.world import World
 from testbed.refusals import refused
+from testbed.touches import forces_object
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +152,6 @@ def test_flat_bent_and_thin_objects_stay_in_the_hand_through_lift_and_turn(name,
     assert not run[-1].dropped
     lifted = run[-1].T_world_object[2, 3] - run[0].T_world_object[2, 3]
     assert lifted > 0.1
-    felt = [set(sample.forces_object) for sample in run]
+    felt = [set(forces_object(sample)) for sample in run]
     assert np.mean(["th" in fingers and len(fingers) >= 3 for fingers in felt]) > 0.9
-    assert max(force for sample in run for force in sample.forces_object.values()) < 15
+    assert max(force for sample in run for force in forces_object(sample).values()) < 15

@@ -14,11 +14,13 @@ from handsight.simulation import (
     constant_errors,
     rig_of,
     simulate,
-    simulate_each,
 )
-from handsight.simulation.scene import FINGERS, UNLOADED, tip_shape
+from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.scenario import FINGERS
+from handsight.simulation.scene import UNLOADED, tip_shape
+from handsight.simulation.simulate import Sensors, samples
 from handsight.simulation.tables import tables
-from handsight.simulation.world import Payload
+from handsight.simulation.world import Payload, World
 from simulation.simulated import NONE, only
 
 USUAL = Nuisances()
@@ -37,7 +39,9 @@ def together(base, motion="manipulate"):
     lost sample is None."""
     variants = {"without": base} | {name: dataclasses.replace(base, **n) for name, n in ALONE.items()}
     base_scenario = Scenario(object="box", seed=3, motion=motion, rate=50.0, nuisances=base)
-    columns = zip(*simulate_each(base_scenario, list(variants.values())), strict=True)
+    world = World(base_scenario, grasp_for("box", 3))
+    sensors = [Sensors(dataclasses.replace(base_scenario, nuisances=n), world) for n in variants.values()]
+    columns = zip(*samples(base_scenario, world, sensors), strict=True)
     return dict(zip(variants, columns, strict=True))
 
 
@@ -74,9 +78,12 @@ def test_a_nuisance_changes_its_own_readings_and_leaves_all_others_bit_for_bit(n
 def test_gains_are_constant_and_of_the_stated_sigma():
     runs = together(NONE)
     true, wrong = (wrenches(runs[name]) - UNLOADED for name in ("without", "force_gain"))
-    gains = constant_errors(only(**ALONE["force_gain"]), 3).gains
+    gains = constant_errors(Scenario(nuisances=only(**ALONE["force_gain"]), seed=3)).gains
     np.testing.assert_allclose(wrong, gains * true, atol=1e-12)
-    drawn = [constant_errors(Nuisances(force_gain=0.03), seed).gains for seed in range(100)]
+    drawn = [
+        constant_errors(Scenario(nuisances=Nuisances(force_gain=0.03), seed=seed)).gains
+        for seed in range(100)
+    ]
     np.testing.assert_allclose(np.std(drawn), 0.03, rtol=0.1)
 
 
@@ -137,13 +144,13 @@ def test_true_tips_differ_from_the_rigs_as_drawn_and_by_two_sigma_at_most():
     nuisances = only(tip_size=2e-4)
     model, drawn = (
         Payload.of(Scenario(seed=5, nuisances=nuisances)).scene.model,
-        constant_errors(nuisances, 5).tips,
+        constant_errors(Scenario(nuisances=nuisances, seed=5)).tips,
     )
     for finger, (wider, longer) in zip(FINGERS, drawn, strict=True):
         np.testing.assert_allclose(
             model.geom(f"{finger}_tip").size - tip_shape(finger)[0], [wider, wider, longer]
         )
-    many = np.array([constant_errors(nuisances, seed).tips for seed in range(200)])
+    many = np.array([constant_errors(Scenario(nuisances=nuisances, seed=seed)).tips for seed in range(200)])
     assert np.abs(many).max() == pytest.approx(4e-4)
     np.testing.assert_allclose(many.std(), 2e-4, rtol=0.15)
 

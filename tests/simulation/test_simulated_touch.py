@@ -3,6 +3,7 @@ import pytest
 
 from handsight.simulation import Scenario, rig_of
 from simulation.simulated import NONE, location_errors, only, samples, sensed
+from testbed.touches import forces_object
 
 SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
 
@@ -41,7 +42,7 @@ def test_an_open_hand_reads_bias_and_weight_alone():
 def test_in_the_air_the_tips_carry_the_objects_weight_and_inertia(kind, tips):
     """m (g - a), while the palm moves too: what is felt is of the very instant of the pose beside it."""
     run = samples(kind, motion="manipulate")
-    assert len(run[-1].forces_object) == tips
+    assert len(forces_object(run[-1])) == tips
     position = np.array([s.T_world_object[:3, 3] for s in run])
     acceleration = np.diff(position, n=2, axis=0) * 10.0**2  # of run[1:-1], ten samples a second
     in_air = position[1:-1, 2] > position[0, 2] + 0.01

@@ -4,7 +4,6 @@ import pytest
 from handsight import se3
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation import (
-    Nuisances,
     Scenario,
     camera_facing,
     model_of,
@@ -30,17 +29,17 @@ def test_without_nuisances_vision_is_right():
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
     moved = np.array(
-        [se3.apply(calibration_error(Nuisances(), seed), TARGET[None])[0] - TARGET for seed in range(1000)]
+        [se3.apply(calibration_error(Scenario(seed=seed)), TARGET[None])[0] - TARGET for seed in range(1000)]
     )
     np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1).mean(), 0.08, rtol=0.05)
     np.testing.assert_allclose(moved[:, 2].std(), 0.064, rtol=0.1)
-    turns = [se3.rotation_log(calibration_error(Nuisances(), seed)[:3, :3]) for seed in range(1000)]
+    turns = [se3.rotation_log(calibration_error(Scenario(seed=seed))[:3, :3]) for seed in range(1000)]
     np.testing.assert_allclose(np.std(turns), np.deg2rad(6), rtol=0.05)
 
 
 def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
     nuisances = only(camera_position=0.08, camera_height=0.064, camera_rotation=0.1)
-    T_measured_true = calibration_error(nuisances, 4)
+    T_measured_true = calibration_error(Scenario(nuisances=nuisances, seed=4))
     for sample in samples("can", 4, "manipulate", 5.0, nuisances):
         if sample.observation.vision is not None:
             np.testing.assert_allclose(

@@ -5,7 +5,7 @@ import pytest
 
 from handsight.simulation import Nuisances, Scenario
 from handsight.simulation.motion import LEGS, palm_poses
-from handsight.simulation.scene import FINGERS
+from handsight.simulation.scenario import FINGERS
 from handsight.simulation.simulate import tip_biases
 from handsight.simulation.world import Payload
 from simulation.simulated import only
@@ -66,9 +66,9 @@ def test_a_support_presses_upwards_on_the_objects_underside():
 
 
 def test_one_gripping_tip_is_biased():
-    found = [tip_biases(only(tip_bias=0.1), seed, FINGERS) for seed in range(8)]
+    found = [tip_biases(Scenario(nuisances=only(tip_bias=0.1), seed=seed)) for seed in range(8)]
     sizes = np.linalg.norm(found, axis=2)
     np.testing.assert_allclose(np.sort(sizes)[:, -1], 0.1)
     assert (np.sort(sizes)[:, :-1] == 0).all()
     assert {FINGERS[k] for k in sizes.argmax(axis=1)} <= {"ff", "mf", "th"}
-    assert not tip_biases(only(), 0, FINGERS).any()
+    assert not tip_biases(Scenario(nuisances=only())).any()

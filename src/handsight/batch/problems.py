@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from handsight import checks, se3
-from handsight.batch.run import LONGEST
+from handsight.batch.blocks import LONGEST
 from handsight.contact import Contacts
 from handsight.correction import (
     Outside,

@@ -18,8 +18,8 @@ from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import stream_name
 
 if TYPE_CHECKING:
+    from handsight.batch.blocks import Source
     from handsight.batch.problems import Problem
-    from handsight.batch.run import Source
 
 MOST_PANELS = 6
 """Number of problems in the picture."""

@@ -144,8 +144,8 @@ def find_models(
     `rig_path`: the rig's file, for messages; `library`: None for the default one; `scale`: metres per unit of a mesh
     file. Raises InvalidInput, InvalidFile.
     """
-    from handsight.objects import Library, ObjectModel
-    from handsight.objects.library import NoLibrary, find_model
+    from handsight.objects import Library, ObjectModel, find_model
+    from handsight.objects.library import NoLibrary
 
     objects = {} if rig is None else rig.objects
     opened = Library(library)

@@ -174,11 +174,10 @@ def simulate(
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
         beside = path.with_suffix(".world.json")
-        built = scene(scenario.object, rig=own)
-        errors = dataclasses.asdict(constant_errors(drawn, seed, len(built.joints), built.hand))
+        errors = dataclasses.asdict(constant_errors(scenario))
         content: dict[str, Any] = {"seed": seed, "nuisances": dataclasses.asdict(drawn)}
         content["drawn"] = {name: value.tolist() for name, value in errors.items()}
-        content["drawn"] |= {"coupled_joints": coupling_errors(drawn, seed, own)}
+        content["drawn"] |= {"coupled_joints": coupling_errors(scenario)}
         with text_file(beside) as file:
             file.write(json.dumps(content, indent=1) + "\n")
         say(f"wrote {beside}: what is wrong in this world, which the rig does not know")

@@ -9,8 +9,7 @@ from handsight.errors import InvalidInput
 from handsight.messages import RawMessage, TopicReport
 from handsight.messages.decode import decode, deserialized
 from handsight.messages.topics import MessageRejected, OwnTopic, RosType
-from handsight.objects import Library, ObjectModel
-from handsight.objects.library import find_model
+from handsight.objects import Library, ObjectModel, find_model
 from handsight.observation import PoseMeasurement
 from handsight.rig import Rig
 

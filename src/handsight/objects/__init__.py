@@ -5,7 +5,7 @@ from handsight.objects.files import Shape, ply_bytes, read_shape
 from handsight.objects.geometry import Geometry
 from handsight.objects.library import Entry, Facts, Library
 from handsight.objects.model import ObjectModel
-from handsight.objects.spec import ObjectSpec
+from handsight.objects.spec import ObjectSpec, find_model
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles, diameter
 from handsight.objects.symmetry import Symmetries, about, kept_center, nearest, tangents
 from handsight.objects.symmetry_search import declared_symmetries, propose_symmetries
@@ -30,6 +30,7 @@ __all__ = [
     "about",
     "declared_symmetries",
     "diameter",
+    "find_model",
     "kept_center",
     "nearest",
     "ply_bytes",

@@ -7,10 +7,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import checks
 from handsight.checks import Array, Indices
 from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
+MOST_SAMPLES = 10**9  # that a caller may draw
 SAMPLES = 256  # surface points with which phase 1 of a correction matches contacts
 MIN_EXTENT = 0.005  # of an object in a hand; a smaller one has another unit [m]
 MAX_EXTENT = 2.0  # and a larger one [m]
@@ -67,6 +69,10 @@ class Geometry:
     def center_object(self) -> Array:
         """(3,) the middle of the bounds [m]."""
         return np.asarray((self.bounds_object[0] + self.bounds_object[1]) / 2)
+
+    def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
+        """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
+        return self.surface.draw(checks.integer(n, "n", MOST_SAMPLES, 1), np.random.default_rng(seed))
 
     @property
     def sample_spacing(self) -> float:

@@ -26,6 +26,7 @@ from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
 from handsight.objects.surface import MAX_SIZE, MIN_SIZE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
+from handsight.objects.symmetry_search import check_symmetries
 
 
 class ModelRecord(NamedTuple):
@@ -145,16 +146,14 @@ class ObjectModel(Geometry):
     @classmethod
     def cylinder(cls, radius: float, height: float) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        lengths = (
-            float(_lengths(value, name, ())) for value, name in ((radius, "radius"), (height, "height"))
-        )
+        lengths = _length(radius, "radius"), _length(height, "height")
         geometry, own = primitives.cylinder(*lengths)
         return cls._from(geometry, "cylinder", own)
 
     @classmethod
     def sphere(cls, radius: float) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        geometry, own = primitives.sphere(float(_lengths(radius, "radius", ())))
+        geometry, own = primitives.sphere(_length(radius, "radius"))
         return cls._from(geometry, "sphere", own)
 
     @classmethod
@@ -235,12 +234,6 @@ class ObjectModel(Geometry):
             warnings.warn(remark, ObjectWarning, stacklevel=3)
         return cls(**parts, name=name, symmetries=symmetries)
 
-    def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
-        """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
-        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-            raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
-        return self.surface.draw(int(n), np.random.default_rng(seed))
-
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
         """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput. `fine`: from the sharp
         distance field; False: from the smooth, coarse one."""
@@ -273,9 +266,6 @@ class ObjectModel(Geometry):
 
         They move it where more than 2 % of its points end farther from it than 4 % of the diameter.
         """
-        # At the top of the file this would be a circular import: the search for symmetries needs models.
-        from handsight.objects.symmetry_search import check_symmetries
-
         found = dataclasses.replace(self, symmetries=symmetries)
         check_symmetries(self, symmetries)
         return found
@@ -340,6 +330,10 @@ def _lengths(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Arra
     return lengths
 
 
+def _length(value: ArrayLike, name: str) -> float:
+    return float(_lengths(value, name, ()))
+
+
 def _of_mesh(mesh: Triangles) -> Geometry:
     # An object from the cache does not need SciPy, which this imports.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
@@ -374,9 +368,8 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
         raise InvalidObject(
             f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
         )
-    low = triangles.min()
-    high = triangles.max()
     last = len(points) - 1
-    if low < 0 or high > last:
-        raise InvalidObject(f"faces: expected indices 0 to {last}, got {low} to {high}")
+    if triangles.min() < 0 or triangles.max() > last:
+        came = f"{triangles.min()} to {triangles.max()}"
+        raise InvalidObject(f"faces: expected indices 0 to {last}, got {came}")
     return Triangles(points, triangles.astype(np.int64))

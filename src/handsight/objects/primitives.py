@@ -60,10 +60,9 @@ def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
     low = np.arange(segments)
     after = (low + 1) % segments
     high = low + segments
-    high_after = after + segments
+    up = after + segments
     bottom = np.full(segments, 2 * segments)
-    top = np.full(segments, 2 * segments + 1)
-    parts = [(low, after, high_after), (low, high_after, high), (bottom, after, low), (top, high, high_after)]
+    parts = [(low, after, up), (low, up, high), (bottom, after, low), (bottom + 1, high, up)]
     faces = np.hstack(parts).T
     exact = ExactField("cylinder", np.array([radius, half_height, 0.0]))
     area = 2 * np.pi * radius * (radius + height)

@@ -1,10 +1,13 @@
 """An object as a rig file or a problem specifies it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from handsight import checks
 from handsight.errors import InvalidInput
+from handsight.objects.library import Library, NoLibrary
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry_search import propose_symmetries
 
@@ -22,7 +25,7 @@ class ObjectSpec:
     scale: float = 1.0
     """Metres per unit of that file."""
     name: str | None = None
-    """Name in the library, as `ObjectModel.from_library` takes it."""
+    """Name in the library, as `Library.model` takes it."""
     symmetries: Literal["find"] | None = None
     """`find`: rotations that keep the shape are symmetries (`propose_symmetries`), even if a print tells them apart."""
     mass: float | None = None
@@ -47,7 +50,7 @@ class ObjectSpec:
         elif self.cylinder is not None:
             model = ObjectModel.cylinder(*self.cylinder)
         elif self.name is not None:
-            model = ObjectModel.from_library(self.name)
+            model = Library().model(self.name)
         elif self.mesh is not None:
             model = ObjectModel.from_file(self.mesh, scale=self.scale)
         else:
@@ -72,3 +75,36 @@ class ObjectSpec:
         return model.with_weight(
             mass=mass, sigma_mass=sigma_mass, center_of_mass=center, sigma_center_of_mass=sigma
         )
+
+
+def find_model(
+    name: str,
+    objects: Mapping[str, ObjectSpec],
+    place: str,
+    *,
+    library: Library,
+    scale: float = 1.0,
+    argument: str = "object",
+) -> ObjectModel:
+    """Returns the model of a rig's object of that name, else of the mesh file at that path, else of a library's object.
+
+    `objects`: the rig's, by name; `place`: what a message calls the rig, empty where there is none; `scale`: metres per
+    unit of the mesh file. Raises InvalidInput with `argument` in front where there is no such object, and the errors of
+    reading the one that was found.
+    """
+    if name in objects:
+        return replace(objects[name].model(), name=name)
+    if Path(name).is_file():
+        return ObjectModel.from_file(name, scale=scale)
+    try:
+        known = library.entries()
+    except NoLibrary:  # a library is optional
+        known = ()
+    for entry in known:
+        if entry.is_called(name):
+            return library.model(entry.name)
+    in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
+    near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
+    raise InvalidInput(
+        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
+    )

@@ -50,13 +50,12 @@ class Symmetries:
         object.__setattr__(self, "rotations", group)
         for point, axis in self.axes[:1]:
             gaps = se3.apply(group, point[None])[:, 0] - point
-            bent = np.cross(group[:, :3, :3] @ axis, axis)
-            if self.round:
-                bent = np.zeros(3)
-            else:
+            bent = 0.0
+            if not self.round:
                 gaps = np.cross(gaps, axis)
+                bent = np.abs(np.cross(group[:, :3, :3] @ axis, axis)).max()
             limit = 10 * SAME * max(1e-3, float(np.abs(point).max()))
-            if np.linalg.norm(gaps, axis=1).max() > limit or np.abs(bent).max() > 10 * SAME:
+            if np.linalg.norm(gaps, axis=1).max() > limit or bent > 10 * SAME:
                 raise InvalidInput("rotations: expected rotations that keep the continuous axis in place")
 
     @property
@@ -104,9 +103,8 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
     candidates = T[..., None, :, :] @ symmetries.rotations
     reference = T_reference[..., None, :, :]
     if symmetries.round:
-        first = candidates[..., :1, :, :]
-        center = symmetries.axes[0][0]
-        candidates = _nearest_about_center(first, reference, center, radius)
+        center, _ = symmetries.axes[0]
+        candidates = _nearest_about_center(candidates[..., :1, :, :], reference, center, radius)
     elif symmetries.axes:
         candidates = _nearest_about_axis(candidates, reference, symmetries.axes[0], radius)
     delta = se3.difference(candidates, np.broadcast_to(reference, candidates.shape))
@@ -192,9 +190,10 @@ def _nearest_about_center(T: Array, T_reference: Array, center: Array, radius: f
     normal = np.cross(arm, target)
     sine = np.linalg.norm(normal, axis=-1)
     cosine = (arm * target).sum(axis=-1)
-    axis = normal / np.where(sine > 0, sine, 1.0)[..., None]
+    crossing = sine > 0
+    axis = normal / np.where(crossing, sine, 1.0)[..., None]
     # From the reference's rotation, turn the arm to the origin part of the way towards where it should point.
-    between = np.where(sine > 0, np.arctan2(sine, cosine), 0.0)
+    between = np.where(crossing, np.arctan2(sine, cosine), 0.0)
     pull = np.hypot(sine, cosine) / radius**2
     angle = _best_angle(np.zeros_like(between), np.ones_like(between), between, pull)
     R = se3.rotation_exp(angle[..., None] * axis) @ R_reference

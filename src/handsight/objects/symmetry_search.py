@@ -13,7 +13,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.objects.model import ObjectModel
+from handsight.objects.geometry import Geometry
 from handsight.objects.surface import Triangles
 from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
@@ -32,7 +32,7 @@ class _Axis(NamedTuple):
     order: int
 
 
-def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Symmetries:
+def propose_symmetries(model: Geometry, tolerance: float | None = None) -> Symmetries:
     """Returns the rotations that take the surface onto itself to within `tolerance` [m] nearly everywhere.
 
     Default tolerance: 1 % of the diameter. The search tries rotations of order 2, 3, 4, 5, 6, 8 and by any angle
@@ -57,7 +57,7 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     return search.group(axes)
 
 
-def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
+def declared_symmetries(model: Geometry, words: Sequence[str]) -> Symmetries:
     """Returns the symmetries that words declare, about the middle of the surface.
 
     `z` stands for all turns about z, `z/4` for quarter turns about it, and `find`, alone, for `propose_symmetries`.
@@ -87,7 +87,7 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
 
 
 def check_symmetries(
-    model: ObjectModel,
+    model: Geometry,
     symmetries: Symmetries,
     name: str = "symmetries",
     came: str = "one",
@@ -110,7 +110,7 @@ def check_symmetries(
         )
 
 
-def _distance(model: ObjectModel, points: Array, T: Array) -> float:
+def _distance(model: Geometry, points: Array, T: Array) -> float:
     """Returns a high percentile of the distances [m] to the surface from its points (n, 3) after the motion `T`."""
     distance = model.fine.evaluate(se3.apply(T, points)).distance
     return float(np.percentile(np.abs(distance), 98))  # others may be at corners, which the field rounds
@@ -119,7 +119,7 @@ def _distance(model: ObjectModel, points: Array, T: Array) -> float:
 class _Search:
     """Search for symmetry axes of an object, by the distances of its turned samples from its surface."""
 
-    def __init__(self, model: ObjectModel, tolerance: float) -> None:
+    def __init__(self, model: Geometry, tolerance: float) -> None:
         self.points, _ = model.sample(400)
         many, _ = model.sample(4000, seed=1)
         self.center = many.mean(axis=0)

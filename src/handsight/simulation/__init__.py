@@ -6,7 +6,7 @@ from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
 from handsight.simulation.motion import Grasp
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Nuisances, Profile, Sample, Scenario, TipContact
-from handsight.simulation.simulate import ConstantErrors, constant_errors, simulate, simulate_each
+from handsight.simulation.simulate import ConstantErrors, constant_errors, simulate
 from handsight.simulation.touch_search import (
     Probe,
     simulate_touch_search,
@@ -17,6 +17,6 @@ from handsight.simulation.touch_search import (
 __all__ = [
     "ConstantErrors", "Grasp", "GraspSearchResult", "Nuisances", "Probe",
     "Profile", "Sample", "Scenario", "TipContact", "add_depth_noise", "camera_facing", "constant_errors", "find_grasp",
-    "model_of", "read_grasp", "rig_of", "simulate", "simulate_each", "simulate_touch_search", "start_search",
+    "model_of", "read_grasp", "rig_of", "simulate", "simulate_touch_search", "start_search",
     "touch_search_rig", "true_camera", "write_grasp",
 ]  # fmt: skip

@@ -18,7 +18,7 @@ from handsight import checks, se3
 from handsight.camera import Depth
 from handsight.checks import Array
 from handsight.errors import MissingExtra
-from handsight.simulation.scenario import Nuisances, Scenario
+from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import (
     FOCAL_LENGTH,
     IMAGE_SIZE,
@@ -59,10 +59,11 @@ CALIBRATED_CAMERA = camera_facing(
 )  # T_world_camera (4, 4) of the robot's rig
 
 
-def calibration_error(nuisances: Nuisances, seed: int) -> Array:
+def calibration_error(scenario: Scenario) -> Array:
     """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them. It is
     a constant rotation about `TARGET` and a constant shift, drawn by the seed."""
-    draw = np.random.default_rng((seed, 4)).normal(size=6)
+    nuisances = scenario.nuisances
+    draw = scenario.stream(4).normal(size=6)
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)
     shift = draw[:3] * [plane, plane, nuisances.camera_height]
@@ -77,8 +78,7 @@ def moved_about_target(shift: Array, rotation: Array) -> Array:
 
 def true_camera(scenario: Scenario) -> Array:
     """Returns the true T_camera_world (4, 4) of the robot's camera; the rig's own is wrong by `calibration_error`."""
-    error = calibration_error(scenario.nuisances, int(scenario.seed))
-    return np.asarray(se3.inverse(CALIBRATED_CAMERA) @ error)
+    return se3.inverse(CALIBRATED_CAMERA) @ calibration_error(scenario)
 
 
 def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:
@@ -93,15 +93,18 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     if noise.edges > 0:  # more behind edges
         there = np.where(z > 0, z, np.float32(np.inf))
         nearest = minimum_filter(there, 2 * noise.edge_width + 1, mode="constant", cval=np.inf)
-        dropouts[z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))] = noise.edges
+        behind = z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))
+        dropouts[behind] = noise.edges
     known &= rng.random(z.shape, dtype=np.float32) >= dropouts
     z = _laterally_displaced(z, noise.lateral, rng)
     known &= (z > noise.nearest) & (z < noise.farthest)
     z = np.where(known, z, np.float32(1))
     a, b, c = map(np.float32, noise.axial)
-    step = np.float32(noise.step) * z * z
+    coarse = np.float32(noise.step)
+    step = coarse * z * z
     # The axial noise includes rounding, which is uniform over a step.
-    sigma = np.sqrt(np.maximum(np.square(a + z * (b + z * c)) - step * step / 12, 0))
+    axial = a + z * (b + z * c)
+    sigma = np.sqrt(np.maximum(np.square(axial) - step * step / 12, 0))
     # Part of the noise is correlated; both parts come from the same numbers, half an image apart.
     drawn = _white(z.shape, rng)
     share = np.float32(noise.correlated)
@@ -109,10 +112,11 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     grain *= np.sqrt(share)
     grain += np.sqrt(1 - share) * np.roll(drawn, (z.shape[0] // 2, z.shape[1] // 2), axis=(0, 1))
     offset, smooth = _constant_errors(z.shape, noise.smooth_length, seed)
-    z = z + sigma * grain + (np.float32(noise.offset) * offset + np.float32(noise.smooth) * smooth * z * z)
+    constant = np.float32(noise.offset) * offset + np.float32(noise.smooth) * smooth * z * z
+    z = z + sigma * grain + constant
     if noise.step > 0:
-        disparity = np.rint(1 / (np.float32(noise.step) * np.maximum(z, np.float32(0.01))))
-        z = np.asarray(1 / (np.float32(noise.step) * np.maximum(disparity, 1)), dtype=np.float32)
+        disparity = np.rint(1 / (coarse * np.maximum(z, np.float32(0.01))))
+        z = np.asarray(1 / (coarse * np.maximum(disparity, 1)), dtype=np.float32)
     return np.where(known, z, np.float32(np.nan))
 
 

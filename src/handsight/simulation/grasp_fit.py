@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.simulation.grasped_body import (
     face_offsets,
     least_rotation,
@@ -63,7 +63,7 @@ class Start:
     A posture (6 + n,) is the palm's position in the world [m], its rotation from `R_world_palm` [rad], and the joints.
     """
 
-    used: tuple[int, ...]  # numbers of the fingers, the pressing one first
+    used: Indices  # numbers of the fingers, the pressing one first
     R_world_palm: Array  # (3, 3)
     posture: Array
 
@@ -85,9 +85,8 @@ class HandFit:
 
     def __init__(self, scene: SimulatedScene, body: "Trimesh", seed: int) -> None:
         """Takes what moves, presses and must stay clear from the scene."""
-        model = scene.model
+        model = self._model = scene.model
         self._mujoco = mujoco_module()
-        self._model = model
         self._data: Any = self._mujoco.MjData(model)
         self._hand = hand = scene.hand
         self._body = body
@@ -95,7 +94,7 @@ class HandFit:
         self._rng = np.random.default_rng((seed, 20))
         joints = [model.joint(name).id for name in hand.grasping]
         limited = model.jnt_limited[joints, None].astype(bool)
-        limits = np.where(limited, model.jnt_range[joints], np.inf * np.array([-1, 1]))
+        limits = np.where(limited, model.jnt_range[joints], [-np.inf, np.inf])
         self._low, self._high = np.clip(limits, -LARGEST_TURN, LARGEST_TURN).T
         self._joint_places = model.jnt_qposadr[joints]
         self._dofs = model.jnt_dofadr[joints]
@@ -105,22 +104,26 @@ class HandFit:
         self._semi_axes = np.array([part.semi_axes for part in parts])
         self._pads = np.array([part.pad for part in parts])
         self._pad_cosines = np.array([part.pad_cosine for part in parts])
-        self._tips = np.array([model.geom(f"{finger}_tip").id for finger in hand.tips])
+        tips = {finger: model.geom(f"{finger}_tip").id for finger in hand.tips}
+        self._tips = np.array(list(tips.values()))
         self._object = model.geom("object").id
         self._table = model.geom("table").id
         touching = np.flatnonzero(model.geom_contype & 1)
-        numbers = dict(zip(hand.tips, self._tips.tolist(), strict=True))
-        self._neighbours = [(numbers[one], numbers[other]) for one, other in hand.neighbours]
+        self._neighbours = [(tips[one], tips[other]) for one, other in hand.neighbours]
         self._links = np.setdiff1d(touching, [*self._tips, self._object])
 
     def opening(self) -> float:
         """Returns the largest distance between two fingertips, by random postures [m]."""
         most = 0.0
         for joints in self._rng.uniform(self._low, self._high, (2000, len(self._low))):
-            self._place(np.concatenate([np.zeros(6), joints]), np.eye(3))
-            at = self._data.geom_xpos[self._tips]
+            at = self._tips_at(joints)
             most = max(most, np.linalg.norm(at[:, None] - at, axis=2).max())
         return float(most - 2 * self._semi_axes.min())
+
+    def _tips_at(self, joints: Array) -> Array:
+        """Returns the middles (k, 3) of the tips at joints, the palm at the origin."""
+        self._place(np.concatenate([np.zeros(6), joints]), np.eye(3))
+        return np.asarray(self._data.geom_xpos[self._tips])
 
     def grasps(self) -> Iterator[tuple[Grasp | None, str, str]]:
         """Yields grasps, the reason where there is none, and the names of the fingers, the pressing one first."""
@@ -150,14 +153,13 @@ class HandFit:
         """Returns the cost of the best of some random starts once it is fitted, less for more fingers; the start, and
         the posture."""
         grips = self._hand.grips
-        used = grips[self._rng.integers(len(grips))]
+        used = np.array(grips[int(self._rng.integers(len(grips)))])
         starts = [self._start(used) for _ in range(drawn)]
-        costs = [np.square(self._linear(start.posture, start)[0]).sum() for start in starts]
-        start = starts[int(np.argmin(costs))]
+        start = min(starts, key=lambda start: np.square(self._linear(start.posture, start)[0]).sum())
         cost, posture = self._solved(start.posture, start)
         return cost - 3 * len(used), start, posture
 
-    def _start(self, used: tuple[int, ...]) -> Start:
+    def _start(self, used: Indices) -> Start:
         """Returns a random posture in which the object is between the tips, and links beside or above it."""
         middle = (self._low + self._high) / 2
         half = 0.3 * (self._high - self._low)
@@ -165,38 +167,38 @@ class HandFit:
             middle = np.array([self._hand.relaxed.get(name, 0.0) for name in self._hand.grasping])
             half = np.full(len(middle), 0.4)  # [rad]
         joints = np.clip(self._rng.uniform(middle - half, middle + half), self._low, self._high)
-        self._place(np.concatenate([np.zeros(6), joints]), np.eye(3))
-        tips = self._data.geom_xpos[self._tips]
-        grip = (tips[used[0]] + tips[list(used[1:])].mean(axis=0)) / 2
+        tips = self._tips_at(joints)
+        grip = (tips[used[0]] + tips[used[1:]].mean(axis=0)) / 2
         links = np.vstack([np.zeros(3), self._data.geom_xpos[self._links]])
         turn, rise, roll = self._rng.uniform((0, 0, -np.pi), (2 * np.pi, np.pi / 2, np.pi))
-        away = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+        x, y = np.cos(rise) * np.array([np.cos(turn), np.sin(turn)])
+        away = np.array([x, y, np.sin(rise)])
         R = se3.rotation_exp(roll * away) @ least_rotation(links.mean(axis=0) - grip, away)
         middle_object = self._mass + self._rng.uniform(-0.2, 0.2, 3) * self._size
-        return Start(used, R, np.concatenate([middle_object - R @ grip, np.zeros(3), joints]))
+        posture = np.concatenate([middle_object - R @ grip, np.zeros(3), joints])
+        return Start(used, R, posture)
 
     def _solved(self, posture: Array, start: Start, away: float = 0.0) -> tuple[float, Array]:
         """Returns cost and posture after the fit. Where tips are to be `away` from the object [m], the palm stays."""
-        kept = posture[:6] if away else posture[:0]
-        free = posture[len(kept) :]
-        of_palm = np.full(6 - len(kept), np.inf)
-        low = np.concatenate([-of_palm, self._low])
-        high = np.concatenate([of_palm, self._high])
+        first = 6 if away else 0  # of the numbers that are free
+        of_palm = np.full(6, np.inf)
+        low = np.concatenate([-of_palm, self._low])[first:]
+        high = np.concatenate([of_palm, self._high])[first:]
 
         def linear(free: Array) -> tuple[Array, Array]:
-            return self._linear(np.concatenate([kept, free]), start, away)
+            return self._linear(np.concatenate([posture[:first], free]), start, away)
 
         found = least_squares(
             lambda free: linear(free)[0],
-            np.clip(free, low + 1e-4, high - 1e-4),
-            lambda free: linear(free)[1][:, len(kept) :],
+            np.clip(posture[first:], low + 1e-4, high - 1e-4),
+            lambda free: linear(free)[1][:, first:],
             bounds=(low, high),
-            x_scale=np.repeat([0.1, 0.5], [len(of_palm), len(self._low)]),
+            x_scale=np.repeat([0.1, 0.5], [6, len(self._low)])[first:],
             max_nfev=STEPS,
             ftol=1e-3,
             xtol=1e-4,
         )
-        return float(found.cost), np.concatenate([kept, found.x])
+        return float(found.cost), np.concatenate([posture[:first], found.x])
 
     def _grasp(self, start: Start, posture: Array, R_world_object: Array) -> tuple[Grasp | None, str]:
         """Returns the closing motion that ends in a posture, or None and the reason."""
@@ -204,7 +206,7 @@ class HandFit:
         at = self._tips_at_object(posture, start.used)
         if np.abs(self._distances(at.points)).max() > MAX_MISS:
             return None, "out of reach"
-        if min(clearance for _, _, clearance, _ in self._clearances(start.used)) < MIN_CLEARANCE:
+        if any(distance < MIN_CLEARANCE for _, _, distance, _ in self._clearances(start.used)):
             return None, "no room for the hand"
         width = np.linalg.norm(at.points[1:].mean(axis=0) - at.points[0])
         press = PRESS / 2 if width < THIN else PRESS
@@ -213,19 +215,20 @@ class HandFit:
             return None, "no balance"
         pressing = -press * shares(len(at.points))[:, None] * at.normals
         # The servos' targets are off the joints by the torques of the forces.
-        torques = np.einsum("kj,kjn->n", pressing, at.by_point)[6:]
-        closed = posture[6:] + torques / self._stiffness
+        torques = np.einsum("kj,kjn->n", pressing, at.by_point)
+        closed = posture[6:] + torques[6:] / self._stiffness
         R_world_palm = se3.rotation_exp(posture[3:6]) @ start.R_world_palm
-        T_palm_world = se3.inverse(se3.compose(R_world_palm, posture[:3]))
-        _, opened = self._solved(posture, start, TIP_CLEARANCE)
+        T_world_palm = se3.compose(R_world_palm, posture[:3])
         T_world_middle = se3.compose(R_world_object, np.array([0, 0, self._height]))
-        return Grasp(
-            T_palm_middle=T_palm_world @ T_world_middle,
+        _, opened = self._solved(posture, start, TIP_CLEARANCE)
+        grasp = Grasp(
+            T_palm_middle=se3.inverse(T_world_palm) @ T_world_middle,
             opening=dict(zip(self._hand.grasping, opened[6:].tolist(), strict=True)),
             closed=dict(zip(self._hand.grasping, closed.tolist(), strict=True)),
             height=self._height,
             R_world_palm=R_world_palm,
-        ), ""
+        )
+        return grasp, ""
 
     def _place(self, posture: Array, R_world_palm: Array) -> None:
         """Places the hand in a posture."""
@@ -263,52 +266,54 @@ class HandFit:
 
     def _distances(self, points: Array) -> Array:
         """Returns distances (n,) of points from the standing object's planes [m]."""
-        return np.asarray((points @ self._normals.T - self._offsets).max(axis=1))
+        return np.asarray(self._heights(points).max(axis=1))
+
+    def _heights(self, points: Array) -> Array:
+        """Returns the heights (..., m) of points (..., 3) above the planes of the standing object's faces [m]."""
+        return np.asarray(points @ self._normals.T - self._offsets)
 
     def _blended_normals(self, points: Array) -> Array:
         """Returns the object's normals (..., 3) near points (..., 3), blended between its faces."""
-        heights = points @ self._normals.T - self._offsets
+        heights = self._heights(points)
         near = np.exp((heights - heights.max(axis=-1, keepdims=True)) / SOFT)
         # Triangles of one side count by their area, so that how a side is cut does not matter.
         normals = (self._areas * near) @ self._normals
         return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
-    def _tips_at_object(self, posture: Array, used: tuple[int, ...]) -> TipsAtObject:
+    def _tips_at_object(self, posture: Array, used: Indices) -> TipsAtObject:
         """Returns where the used tips face the object."""
-        numbers = list(used)
-        geoms = self._tips[numbers]
+        geoms = self._tips[used]
         centers = self._data.geom_xpos[geoms]
         R = self._data.geom_xmat[geoms].reshape(-1, 3, 3)
         step = 1e-4
         normals = self._blended_normals(centers)
         stepped = self._blended_normals(centers[:, None] + step * np.eye(3))
         by_center = (stepped - normals[:, None]).swapaxes(1, 2) / step
-        scaled = -self._semi_axes[numbers] * np.einsum("kji,kj->ki", R, normals)
+        semi_axes = self._semi_axes[used]
+        scaled = -semi_axes * np.einsum("kji,kj->ki", R, normals)
         lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
-        points = centers + np.einsum("kij,kj->ki", R, self._semi_axes[numbers] * scaled / lengths)
+        points = centers + np.einsum("kij,kj->ki", R, semi_axes * scaled / lengths)
         moved = np.array([self._moves(*each, posture) for each in zip(geoms, points, strict=True)])
         by_turn = moved[:, 3:]
         by_centers = moved[:, :3] + se3.skew(points - centers) @ by_turn
         return TipsAtObject(
             points=points,
             normals=normals,
-            pads=np.einsum("kij,kj->ki", R, self._pads[numbers]),
+            pads=np.einsum("kij,kj->ki", R, self._pads[used]),
             by_point=moved[:, :3],
             by_turn=by_turn,
             by_normal=by_center @ by_centers,
         )
 
-    def _clearances(self, used: tuple[int, ...]) -> Iterator[tuple[int, int, float, Array]]:
+    def _clearances(self, used: Indices) -> Iterator[tuple[int, int, float, Array]]:
         """Yields two geoms that should not touch, their distance [m], and the points (6,) nearest to each other.
 
         Links and unused tips are clear of the object, all are of the table, and neighbouring tips of each other.
         """
-        unused = np.delete(self._tips, list(used))
-        everything = [*self._links, *self._tips]
-        pairs = [(geom, self._object) for geom in [*self._links, *unused]]
-        pairs += [(geom, self._table) for geom in everything]
-        pairs += self._neighbours
-        for one, other in pairs:
+        off_object = [*self._links, *np.delete(self._tips, used)]
+        off_table = [*self._links, *self._tips]
+        pairs = [(geom, self._object) for geom in off_object] + [(geom, self._table) for geom in off_table]
+        for one, other in (*pairs, *self._neighbours):
             nearest = np.zeros(6)
             distance = self._mujoco.mj_geomDistance(self._model, self._data, one, other, 1.0, nearest)
             yield one, other, distance, nearest
@@ -319,8 +324,8 @@ class HandFit:
         at = self._tips_at_object(posture, start.used)
         still = 0.1 * np.eye(len(posture))[6:]
         parts = [(still @ (posture - start.posture), still)]
-        distances = self._distances(at.points)
-        parts.append(((distances - away) / 0.001, np.einsum("kj,kjn->kn", at.normals, at.by_point) / 0.001))
+        missed = self._distances(at.points) - away
+        parts.append((missed / 0.001, np.einsum("kj,kjn->kn", at.normals, at.by_point) / 0.001))
         parts.append(self._off_pads(at, start.used))
         parts.append(self._too_near(posture, start.used))
         if not away:
@@ -328,15 +333,15 @@ class HandFit:
         errors, derivatives = zip(*parts, strict=True)
         return np.concatenate(errors), np.concatenate(derivatives)
 
-    def _off_pads(self, at: TipsAtObject, used: tuple[int, ...]) -> tuple[Array, Array]:
+    def _off_pads(self, at: TipsAtObject, used: Indices) -> tuple[Array, Array]:
         """Returns how far each tip meets the object off its pad, and the derivatives (k, 6 + n)."""
-        lacking = self._pad_cosines[list(used)] + (at.pads * at.normals).sum(axis=1)
+        lacking = self._pad_cosines[used] + (at.pads * at.normals).sum(axis=1)
         by_posture = np.einsum("kj,kjn->kn", np.cross(at.pads, at.normals), at.by_turn)
         by_posture += np.einsum("kj,kjn->kn", at.pads, at.by_normal)
         off = lacking > 0
         return 10 * lacking * off, 10 * by_posture * off[:, None]
 
-    def _too_near(self, posture: Array, used: tuple[int, ...]) -> tuple[Array, Array]:
+    def _too_near(self, posture: Array, used: Indices) -> tuple[Array, Array]:
         """Returns by how much parts are too near to each other, and the derivatives (m, 6 + n)."""
         errors = []
         rows = []
@@ -354,9 +359,9 @@ class HandFit:
 
     def _unbalanced(self, at: TipsAtObject) -> tuple[Array, Array]:
         """Returns force and torque that remain where tips press along the normals (6,), and the derivatives."""
-        share = shares(len(at.points))
-        pressing = share[:, None] * at.normals
-        by_posture = share[:, None, None] * at.by_normal
+        share = shares(len(at.points))[:, None]
+        pressing = share * at.normals
+        by_posture = share[:, None] * at.by_normal
         arms = (at.points - self._mass) / LEVER
         turning = np.cross(arms, pressing)
         by_turning = se3.skew(arms) @ by_posture - se3.skew(pressing) @ at.by_point / LEVER
@@ -366,4 +371,4 @@ class HandFit:
 
 def shares(fingers: int) -> Array:
     """Returns how hard each finger presses, relative to the first, which presses against all others."""
-    return np.array([1.0, *[1 / (fingers - 1)] * (fingers - 1)])
+    return np.append(1.0, np.full(fingers - 1, 1 / (fingers - 1)))

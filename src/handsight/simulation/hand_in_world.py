@@ -1,6 +1,6 @@
 """A hand as the simulated world takes it: the built-in Shadow hand, and any hand of a rig, are values of one type."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -95,15 +95,12 @@ class HandInWorld:
     T_mount_palm: Array  # (4, 4), constant
     tips: Mapping[str, TipInWorld]  # by finger
     joints: tuple[str, ...]  # names of its hinges and slides
-    neighbours: tuple[tuple[str, str], ...]  # pairs of fingers whose tips collide
-    grips: tuple[
-        tuple[int, ...], ...
-    ]  # numbers of the fingers of each kind of grip, the one that presses first
+    neighbours: Sequence[Sequence[str]]  # pairs of fingers whose tips collide
+    grips: Sequence[Sequence[int]]  # numbers of the fingers of each kind of grip, the one that presses first
     grasping: tuple[str, ...]  # the joints that a grasp sets
     followers: Mapping[str, Follower]  # joints without a servo
-    relaxed: Mapping[
-        str, float
-    ]  # joints about which a search for a grasp begins; empty: in the middle of their range
+    relaxed: Mapping[str, float]
+    """Joints about which a search for a grasp begins; empty: in the middle of their range."""
 
     @property
     def coupled(self) -> tuple[str, ...]:
@@ -175,7 +172,7 @@ def hand_of(rig: Rig, coupling_errors: tuple[float, ...] = ()) -> tuple["MjSpec"
         T_mount_palm=T_mount_palm,
         tips=tips,
         joints=joints,
-        neighbours=tuple(combinations(tips, 2)),
+        neighbours=list(combinations(tips, 2)),
         grips=_grips(len(tips)),
         grasping=driven,
         followers=followers,
@@ -191,15 +188,15 @@ def _with_shapes(spec: "MjSpec", link: str) -> str:
     return str(body.name)
 
 
-def _grips(fingers: int) -> tuple[tuple[int, ...], ...]:
+def _grips(fingers: int) -> list[Sequence[int]]:
     """Returns all grips of one finger against up to three others, and at least two of a hand with three fingers."""
     fewest = 1 if fingers < 3 else 2
-    return tuple(
+    return [
         (pressing, *others)
         for pressing in range(fingers)
         for count in range(fewest, 4)
-        for others in combinations(np.delete(np.arange(fingers), pressing).tolist(), count)
-    )
+        for others in combinations(np.delete(range(fingers), pressing).tolist(), count)
+    ]
 
 
 def _joints(spec: "MjSpec") -> tuple[str, ...]:

@@ -58,7 +58,7 @@ def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
     shift = rng.uniform(-0.003, 0.003, 3)
     turn = rng.uniform(-3 * degree, 3 * degree, 3)
     aim = rng.uniform(-degree, degree, len(grasp.closed))
-    closed = {joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)}
+    closed = dict(zip(grasp.closed, aim + list(grasp.closed.values()), strict=True))
     T_palm_middle = se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn]))
     return replace(grasp, T_palm_middle=T_palm_middle, closed=closed)
 
@@ -77,7 +77,7 @@ the vertical, the tilt about the forearm, and the tilt about the horizontal acro
 
 def least_jerk(s: Array) -> Array:
     """Returns positions from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
-    return np.asarray(s**3 * (10 - 15 * s + 6 * s * s))
+    return s**3 * (10 - 15 * s + 6 * s * s)
 
 
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
@@ -90,7 +90,8 @@ def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> 
     s = np.clip(1 - (ends[i] - times) / legs[i, 0], 0, 1)
     begins = np.vstack([np.zeros(6), legs[:-1, 1:]])
     now = begins[i] + least_jerk(s)[:, None] * (legs[i, 1:] - begins[i])
-    R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1])
-    R = R @ se3.rotation_exp(now[:, 4:5] * [1.0, 0, 0])
-    R = R @ se3.rotation_exp(now[:, 5:6] * [0.0, 1, 0])
-    return np.asarray(se3.compose(R, pivot + now[:, :3] - R @ pivot) @ T_world_palm)
+    heading, tilt, pitch = (
+        se3.rotation_exp(now[:, 3 + k, None] * np.eye(3)[axis]) for k, axis in enumerate((2, 0, 1))
+    )
+    R = heading @ tilt @ pitch
+    return se3.compose(R, pivot + now[:, :3] - R @ pivot) @ T_world_palm

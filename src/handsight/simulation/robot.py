@@ -8,42 +8,40 @@ from typing import Any
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
 from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.simulation import scene
 from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
-from handsight.simulation.scenario import OBJECT_MASS, Nuisances, Scenario
+from handsight.simulation.scenario import FINGERS, OBJECT_MASS, Nuisances, Scenario
 from handsight.simulation.taxels import surfaces
 
 
 def rig_of(scenario: Scenario) -> Rig:
     """Returns the robot's rig: calibrated sensors, the camera as calibrated, and the sigmas of default nuisances.
 
-    It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Raises MissingExtra
-    without mujoco or gymnasium-robotics.
+    It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Of a user's own rig,
+    hand, sensors and their topics stay. Raises MissingExtra without mujoco or gymnasium-robotics.
     """
     usual = Nuisances()
-    wrenches = scenario.sensors == "wrench"
-    if scenario.rig is not None:  # hand, sensors, their topics are its own, all else is the simulated scene's
-        own = scenario.rig
-        around = rig_of(replace(scenario, rig=None))
-        known = own.topics
-        topics_used = replace(around.topics, joint_states=known.joint_states, wrenches=known.wrenches)
-        return replace(
-            own, camera=around.camera, table=around.table, gravity=around.gravity, world_from="tf", skin={},
-            frames=around.frames, topics=topics_used, objects=around.objects,
-        )  # fmt: skip
+    own = scenario.rig
+    if own is None:
+        wrenches = scenario.sensors == "wrench"
+        own = Rig(
+            hand=_hand(),
+            fingers={finger: _finger(finger, sensing=wrenches) for finger in FINGERS},
+            sigma_joint_offset=usual.joint_offset,
+            sigma_joint=usual.joint_noise,
+            topics=Topics(wrenches={finger: f"/{finger}/wrench" for finger in FINGERS if wrenches}),
+        )
     skin = surfaces(scenario.sensors, scenario.skin)
+    images: dict[str, Any] = {}
+    if scenario.images:
+        images = {name: f"/camera/{name}" for name in ("color", "depth", "camera_info")}
     declared: Any = {"center_of_mass": "homogeneous", "sigma_center_of_mass": 1e-3}
-    unloaded = scene.UNLOADED if wrenches else [None] * len(scene.FINGERS)
-    return Rig(
-        hand=_hand(),
-        fingers={finger: _finger(finger, zero) for finger, zero in zip(scene.FINGERS, unloaded, strict=True)},
-        sigma_joint_offset=usual.joint_offset,
-        sigma_joint=usual.joint_noise,
+    return replace(
+        own,
         camera=MountedCamera(
             T_mount_camera=CALIBRATED_CAMERA,
             intrinsics=INTRINSICS,
@@ -59,13 +57,14 @@ def rig_of(scenario: Scenario) -> Rig:
         ),
         table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
         gravity=scene.GRAVITY,
+        world_from="tf",
+        frames={name: name for name in ("world", "palm", "camera")},
         topics=Topics(
-            wrenches={finger: f"/{finger}/wrench" for finger in scene.FINGERS if wrenches},
-            color="/camera/color" if scenario.images else None,
-            depth="/camera/depth" if scenario.images else None,
-            camera_info="/camera/camera_info" if scenario.images else None,
+            joint_states=own.topics.joint_states,
+            wrenches=own.topics.wrenches,
             truth="/truth/object",
             skin={name: f"/{name}/taxels" for name in skin},
+            **images,
         ),
         skin=skin,
         objects={
@@ -105,24 +104,24 @@ def declared_weight(nuisances: Nuisances) -> tuple[float, float]:
 @cache
 def _hand() -> Hand:
     scene.hand_file()  # raises MissingExtra where it is absent
-    tips = {finger: f"robot0:{finger}distal" for finger in scene.FINGERS}
+    tips = {finger: f"robot0:{finger}distal" for finger in FINGERS}
     return Hand.from_file(f"package://gymnasium_robotics/{scene.HAND_FILE}", palm=scene.PALM, tips=tips)
 
 
-def _finger(name: str, unloaded: Array | None) -> Finger:
-    """Returns a finger whose sensor reads `unloaded` (6,) without load; None: it has none."""
+def _finger(name: str, *, sensing: bool) -> Finger:
+    """Returns a finger of the Shadow hand, with a force/torque sensor or without one."""
     semi_axes, center_z = scene.tip_shape(name)
     center = np.array([0.0, 0.0, center_z])
     sensor: dict[str, Any] = {}
-    if unloaded is not None:
-        known = unloaded[:3], unloaded[3:], scene.TIP_MASS, center
-        sensor = {"calibration": WrenchCalibration(*known, reading="on_tip"), "full_scale": (50.0, 0.5)}
-    T_surface_sensor = se3.compose(np.eye(3), -center)
-    tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
+    if sensing:
+        force, torque = scene.UNLOADED[FINGERS.index(name)].reshape(2, 3)
+        calibration = WrenchCalibration(force, torque, scene.TIP_MASS, center, reading="on_tip")
+        sensor = {"calibration": calibration, "full_scale": (50.0, 0.5)}
+    cap = -semi_axes[2] / 2
     return Finger(
         frame=f"robot0:{name}distal",
-        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SENSOR_Z + center_z])),
-        tip=tip,
+        T_frame_surface=se3.translation([0, 0, scene.SENSOR_Z + center_z]),
+        tip=Ellipsoid(semi_axes, cap, max_friction=1.2, T_surface_sensor=se3.translation(-center)),
         # The tip is exactly where its file has it; these cover its deflection by `tip_compliance`.
         sigma_point=2e-4,
         sigma_normal=math.radians(0.3),

@@ -30,6 +30,8 @@ TORSION_ARM = 0.005
 """Largest torque about a tip's normal by the largest force along the surface [m]."""
 STEPS_PER_SECOND = 500
 """Of the simulator: two milliseconds are as accurate as one."""
+FINGERS = tuple(tables()["shadow_tips"])
+"""Of the Shadow hand."""
 OBJECT_MASS = 0.15
 """The mass of an object if a scenario does not give another [kg]."""
 
@@ -183,17 +185,6 @@ class Nuisances:
                 drawn[name] = float(rng.uniform(low, high))
         return cls(**drawn)
 
-    def shares_world(self, other: "Nuisances") -> bool:
-        """Returns whether the other nuisances differ in readings and the robot's model only: the world is the same."""
-        return all(getattr(self, name) == getattr(other, name) for name in PHYSICAL)
-
-
-PHYSICAL = (
-    "object_mass", "object_off_center", "unsensed_force", "support_force", "friction", "pull_force", "pull_torque",
-    "tip_size", "contact_softness", "pyramidal_friction", "coupled_joint",
-)  # fmt: skip
-"""The nuisances that change what happens; all others change what is measured, or what the robot believes."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
@@ -262,7 +253,11 @@ class Scenario:
     @property
     def fingers(self) -> tuple[str, ...]:
         """Names of the hand's fingers."""
-        return ("ff", "mf", "rf", "lf", "th") if self.rig is None else tuple(self.rig.fingers)
+        return FINGERS if self.rig is None else tuple(self.rig.fingers)
+
+    def stream(self, number: int) -> np.random.Generator:
+        """Returns one of the random streams of the seed, which no other one changes."""
+        return np.random.default_rng((int(self.seed), number))
 
 
 def _is_known(name: object) -> bool:
@@ -317,16 +312,8 @@ class Sample:
     configuration: Array  # the simulator's generalized positions, for `render`
 
     @property
-    def forces_object(self) -> Mapping[str, float]:
-        """Force of the object on each finger that it touches, by name [N]."""
-        total: dict[str, Array] = {}
-        for c in (c for c in self.contacts_truth if c.other == "object"):
-            total[c.finger] = total.get(c.finger, np.zeros(3)) + c.force_palm
-        return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
-
-    @property
     def touches(self) -> Mapping[str, TipContact]:
         """Contact with the largest force between the object and each finger that it touches, by name."""
         found = [contact for contact in self.contacts_truth if contact.other == "object"]
         by_force = sorted(found, key=lambda contact: float(np.linalg.norm(contact.force_palm)))
-        return {c.finger: c for c in found} | {c.finger: c for c in by_force}
+        return {c.finger: c for c in (*found, *by_force)}

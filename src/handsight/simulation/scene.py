@@ -18,10 +18,10 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra, needing
 from handsight.hand.couplings import Law
-from handsight.objects import ObjectModel
+from handsight.objects import Library
 from handsight.rig import Rig
 from handsight.simulation.hand_in_world import LINKAGE, Follower, HandInWorld, TipInWorld, hand_of
-from handsight.simulation.scenario import OBJECT_MASS, STEPS_PER_SECOND, TORSION_ARM
+from handsight.simulation.scenario import FINGERS, OBJECT_MASS, STEPS_PER_SECOND, TORSION_ARM
 from handsight.simulation.tables import tables
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 HAND_FILE = "envs/assets/hand/reach.xml"  # within gymnasium-robotics; its only scene without an object
 PALM = "robot0:palm"
 PALM_GEOM = "robot0:C_palm0"  # the geom that a tactile array of the palm covers
-T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
+T_MOUNT_PALM = se3.translation([0.0, 0.01, 0.29])
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
-FINGERS = ("ff", "mf", "rf", "lf", "th")
+
 TipErrors = tuple[tuple[float, float], ...]
 
 
@@ -125,22 +125,23 @@ def scene(
     _add_tips(mujoco, spec, hand, friction, softness, tip_errors or ((0.0, 0.0),) * len(hand.tips))
     _carry(mujoco, spec, hand)
     _add_table_and_camera(mujoco, spec)
-    bounds = _add_object(mujoco, spec, name, softness)
+    _add_object(mujoco, spec, name, softness)
+    model = spec.compile()
     if mass != OBJECT_MASS or any(shift):
         # The inertia about the centre of mass is proportional to the mass.
         body = spec.body("object")
-        usual = scene(name, rig=rig).model.body("object")
+        usual = model.body("object")
         body.explicitinertial = True
         body.mass = mass
         body.ipos = usual.ipos + shift
         body.iquat = usual.iquat
         body.inertia = usual.inertia * (mass / usual.mass[0])
-    model = spec.compile()
+        model = spec.compile()
     return SimulatedScene(
         model=model,
         joints={name: int(model.joint(name).qposadr[0]) for name in hand.joints},
         tips={model.geom(f"{finger}_tip").id: finger for finger in hand.tips},
-        bounds_object=bounds,
+        bounds_object=bounds(name),
         hand=hand,
     )
 
@@ -167,12 +168,11 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
         semi_axes, center_z = tip_shape(finger)
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))
         spec.geom(f"robot0:V_{finger}distal").group = 5  # is not drawn
-        T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SENSOR_Z]))
         center = np.array([0.0, 0.0, center_z])
         tips[finger] = TipInWorld(
             link=f"robot0:{finger}distal",
-            T_link_sensor=T_link_sensor,
-            T_sensor_surface=se3.compose(np.eye(3), center),
+            T_link_sensor=se3.translation([0.0, 0.0, SENSOR_Z]),
+            T_sensor_surface=se3.translation(center),
             semi_axes=semi_axes,
             mass=TIP_MASS,
             center=center,
@@ -183,8 +183,6 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
         )
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
-    # Tips that are no neighbours never meet.
-    meeting = (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4]))
     joints = tuple(joint.name for joint in spec.joints)
     tendon = Law([-SLACK, COUPLING])
     followers = {
@@ -197,8 +195,8 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
         T_mount_palm=T_MOUNT_PALM,
         tips=tips,
         joints=joints,
-        neighbours=meeting,
-        grips=((4, 0, 1), (4, 0, 1, 2), (4, 0, 1, 2, 3), (4, 0, 1, 2, 3)),
+        neighbours=tables()["neighbours"],
+        grips=tables()["grips"],
         grasping=tuple(name for name in joints if name not in followers and "WR" not in name),
         followers=followers,
         relaxed=tables()["relaxed"],
@@ -300,30 +298,31 @@ def _light(light: Any, values: dict[str, list[float]]) -> None:
     light.diffuse = values["diffuse"]
 
 
-def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) -> Array:
-    """Adds the object and returns its bounds (2, 3) in its own frame [m]."""
+def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) -> None:
+    """Adds the object, a mesh as its convex hull."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
     drawn = tables()["drawn"]
-    geometry: dict[str, Any] = {"rgba": drawn["others"]}
     if name == "can":
         radius, height = CAN_SIZE
-        bounds = np.outer([-1.0, 1.0], [radius, radius, height / 2])
-        geometry |= {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
+        shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
     elif name == "box":
-        bounds = np.outer([-1.0, 1.0], np.array(BOX_SIZE) / 2)
-        geometry |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
-        geometry |= {"rgba": drawn["box"]}
+        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
     else:
         vertices, faces = convex_hull(name)
-        bounds = np.asarray([vertices.min(axis=0), vertices.max(axis=0)])
         spec.add_mesh(name="object", uservert=vertices.ravel(), userface=faces.ravel())
-        geometry |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
+        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
     body.add_geom(
         name="object", mass=OBJECT_MASS, condim=4, friction=[1.0, 0.005, 0.0001],
-        contype=1 | TABLE_BIT, conaffinity=1, **geometry, **stiffness(softness),
+        contype=1 | TABLE_BIT, conaffinity=1, rgba=drawn["box" if name == "box" else "others"],
+        **shape, **stiffness(softness),
     )  # fmt: skip
-    return np.asarray(bounds)
+
+
+def bounds(name: str) -> Array:
+    """Returns the bounds (2, 3) of an object in its own frame [m]; `name` as `scene` takes it."""
+    vertices, _ = convex_hull(name)
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
 @lru_cache(maxsize=8)
@@ -338,7 +337,7 @@ def convex_hull(path: str) -> tuple[Array, Any]:
 
     from handsight.objects.files import read_shape
 
-    shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
+    shape = read_shape(path) if Path(path).suffix else Library().model(path)
     vertices = shape.vertices
     name = Path(path).name
     extent = float(np.ptp(vertices, axis=0).max())

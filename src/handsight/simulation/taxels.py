@@ -18,8 +18,8 @@ from scipy.spatial import ConvexHull
 from handsight import se3
 from handsight.checks import Array, Indices
 from handsight.contact.taxels import TactileSurface
-from handsight.simulation.scenario import Scenario, SensorKind, TipContact
-from handsight.simulation.scene import CAN_SIZE, FINGERS, PALM, SENSOR_Z, convex_hull, tip_shape
+from handsight.simulation.scenario import FINGERS, Scenario, SensorKind
+from handsight.simulation.scene import CAN_SIZE, PALM, SENSOR_Z, convex_hull, tip_shape
 from handsight.simulation.tables import tables
 from handsight.simulation.world import World
 
@@ -50,8 +50,8 @@ class Solid:
         """Returns a cylinder about the origin and z; 128 sides are within 0.01 mm of a can's circle."""
         angle = 2 * np.pi * np.arange(128) / 128
         sides = np.stack([np.cos(angle), np.sin(angle), np.zeros(128)], axis=1)
-        ends = np.array([[0.0, 0, 1], [0, 0, -1]])
-        return cls(np.vstack([sides, ends]), np.repeat([radius, height / 2], [128, 2]))
+        normals = np.vstack([sides, np.outer([1.0, -1.0], [0.0, 0.0, 1.0])])
+        return cls(normals, np.repeat([radius, height / 2], [128, 2]))
 
     @classmethod
     def hull(cls, vertices: Array) -> "Solid":
@@ -72,31 +72,29 @@ class Solid:
         They are infinite where the line misses the body, and negative where that surface is behind the point.
         """
         rate = self.normals @ direction
-        enters = rate < -1e-12
-        leaves = rate > 1e-12
         beside = np.abs(rate) <= 1e-12
         along = np.where(beside, 1.0, rate)
         at = self.offsets / along - points @ (self.normals / along[:, None]).T
-        begin = at[:, enters].max(axis=1, initial=-np.inf)
-        end = at[:, leaves].min(axis=1, initial=np.inf)
+        begin = at[:, rate < -1e-12].max(axis=1, initial=-np.inf)
+        end = at[:, rate > 1e-12].min(axis=1, initial=np.inf)
         misses = (at[:, beside] < 0).any(axis=1) | (end < begin)
-        return np.asarray(np.where(misses, np.inf, begin))
+        return np.where(misses, np.inf, begin)
 
 
-def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
+def spring_forces(gaps: Array, force: float, stiffness: Array) -> Array:
     """Returns the forces (n,) of springs that a body compresses until together they hold `force` [N].
 
-    `gaps` (n,): from the unloaded springs to the body [m], infinite beside it; `stiffness`: of each or of all [N/m].
+    `gaps` (n,): from the unloaded springs to the body [m], infinite beside it; `stiffness` (n,) of each [N/m].
     """
     order = np.argsort(gaps)[: np.isfinite(gaps).sum()]
     if force <= 0 or not len(order):
         return np.zeros(len(gaps))
     near = gaps[order]
-    k = np.broadcast_to(stiffness, gaps.shape)[order]
+    k = stiffness[order]
     # The depth at which the nearest springs hold the force; the right number of them reaches no further spring.
     depth = (force + np.cumsum(k * near)) / np.cumsum(k)
-    last = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
-    return np.asarray(stiffness * np.maximum(depth[last] - gaps, 0.0))
+    enough = np.append(depth[:-1] <= near[1:], True)
+    return np.asarray(stiffness * np.maximum(depth[enough.argmax()] - gaps, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,17 +110,16 @@ class ElasticSkin:
     @classmethod
     def flat(cls, array: TactileSurface) -> "ElasticSkin":
         """Returns the skin of a flat grid of taxels, with springs below these alone."""
-        fine = array.pitch / 3  # three springs of each taxel, each way
+        fine = array.pitch / 3
         steps = fine * np.array([-1.0, 0.0, 1.0])
-        within = np.stack(np.meshgrid(steps, steps, 0.0), axis=-1).reshape(-1, 3)
-        each = len(within)
+        nine = np.stack(np.meshgrid(steps, steps, 0.0), axis=-1).reshape(-1, 3)  # springs of each taxel
         axes = array.taxels["axes"]
-        points = array.points[:, None] + within @ axes.swapaxes(1, 2)
+        points = array.points[:, None] + nine @ axes.swapaxes(1, 2)
         return cls(
             points=points.reshape(-1, 3),
-            normals=np.repeat(axes[:, :, 2], each, axis=0),
-            areas=np.full(each * len(axes), fine**2),
-            taxels=np.repeat(np.arange(len(axes)), each),
+            normals=np.repeat(axes[:, :, 2], 9, axis=0),
+            areas=np.full(9 * len(axes), fine**2),
+            taxels=np.repeat(np.arange(len(axes)), 9),
             places=array.points,
         )
 
@@ -138,7 +135,8 @@ class ElasticSkin:
         distances = np.linalg.norm(points[:, None] - places, axis=2)
         taxels = distances.argmin(axis=1)
         taxels[distances.min(axis=1) > reach[taxels]] = len(places)
-        return cls(points, out / length[:, None] @ T_link_tip[:3, :3].T, areas, taxels, places)
+        normals = out / length[:, None] @ T_link_tip[:3, :3].T
+        return cls(points, normals, areas, taxels, places)
 
     def forces(
         self,
@@ -146,7 +144,7 @@ class ElasticSkin:
         T_link_solid: Array,
         force: Array,
         push: Array,
-        uneven: Array | float = 0.0,
+        uneven: Array | None = None,
         stiffness: float = RUBBER,
         torque: float = 0.0,
     ) -> Array:
@@ -155,8 +153,9 @@ class ElasticSkin:
         Their sum is `force` (3,) [N]. `push` (3,) is the unit direction in which the solid presses into the skin:
         along it springs are compressed, each of which presses back along its own normal. The rest of the force is
         shared in proportion to the pressure, and so is `torque` about `push` [N m], in proportion to the distance from
-        the centre of pressure too. `uneven` (n,): each taxel's distance below its place [m].
+        the centre of pressure too. `uneven` (n,): each taxel's distance below its place [m]; None: 0.
         """
+        uneven = np.zeros(len(self.places)) if uneven is None else uneven
         found = np.zeros((len(self.places) + 1, 3))
         cosines = -self.normals @ push
         near = np.flatnonzero(cosines > 0.3)  # a body presses no skin that faces farther away
@@ -165,21 +164,23 @@ class ElasticSkin:
         taxels = self.taxels[near]
         R = T_link_solid[:3, :3]
         gaps = solid.distances((self.points[near] - T_link_solid[:3, 3]) @ R, -push @ R)
-        gaps = gaps + np.append(np.broadcast_to(uneven, len(self.places)), 0.0)[taxels]
+        gaps = gaps + np.append(uneven, 0.0)[taxels]
         borne = spring_forces(gaps, float(force @ push), stiffness * self.areas[near] * cosines**2)
         if not borne.any():
             return found
         pressed = -(borne / cosines)[:, None] * normals
         share = borne / borne.sum()
-        arms = np.cross(push, self.points[near] - share @ self.points[near])
+        points = self.points[near]
+        arms = np.cross(push, points - share @ points)
         turn = torque / max(share @ (arms**2).sum(axis=1), 1e-9)
-        np.add.at(found, taxels, pressed + share[:, None] * (force - pressed.sum(axis=0) + turn * arms))
+        rest = force - pressed.sum(axis=0) + turn * arms
+        np.add.at(found, taxels, pressed + share[:, None] * rest)
         return found
 
 
 THUMB_FACES = np.array([-0.8, 0.6, 0.0])
 """The direction across the thumb in which its tip's taxels face, to the fingers; a finger's face -y."""
-T_GRID_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
+T_GRID_FEWER = se3.translation([-0.004, 0.009, 0.0])
 """Pose of a smaller array than `PALM_SKIN` in its grid: where the hand presses the can on its palm."""
 
 
@@ -192,53 +193,42 @@ def surfaces(kind: SensorKind, palm: bool) -> dict[str, TactileSurface]:
     fields: dict[str, Any] = {"components": product["components"], "threshold": 0.03, "full_scale": 5.0}
     found = dict[str, TactileSurface]()
     for finger in FINGERS:
-        semi_axes, _ = tip_shape(finger)
-        T = _tip_pose(finger)
-        chosen = np.zeros((0, 3))
+        semi_axes, height = tip_shape(finger)
+        chosen = list[Array]()
         for name, pad in product["pads"].items():
             places = _places(finger, pad, chosen)
-            chosen = np.vstack([chosen, places])
+            chosen += places
+            points = np.array(places)
             found[f"{finger}{name}"] = TactileSurface(
                 frame=f"robot0:{finger}distal",
-                points=se3.apply(T, places),
-                normals=places / semi_axes**2 @ T[:3, :3].T,
+                points=points + np.array([0.0, 0.0, SENSOR_Z + height]),
+                normals=points / semi_axes**2,
                 pitch=pad["pitch"],
                 nominal=True,
                 **fields,
             )
     if palm:
-        rows, columns, pitch = product["palm"]
-        found["palm"] = TactileSurface.grid(
-            frame=PALM,
-            T_frame_grid=T_PALM_GRID @ T_GRID_FEWER,
-            rows=rows,
-            columns=columns,
-            pitch=pitch,
-            **fields,
-        )
+        T = T_PALM_GRID @ T_GRID_FEWER
+        found["palm"] = TactileSurface.grid(frame=PALM, T_frame_grid=T, **product["palm"], **fields)
     return found
 
 
-def _tip_pose(finger: str) -> Array:
-    """Returns the pose (4, 4) of a tip's ellipsoid in its link."""
-    return se3.compose(np.eye(3), np.array([0.0, 0.0, SENSOR_Z + tip_shape(finger)[1]]))
-
-
-def _places(finger: str, pad: dict[str, Any], others: Array) -> Array:
-    """Returns places (n, 3) on a tip's ellipsoid, in its frame: the nearest to the pad's middle that are a pitch from
-    each other and from `others` (k, 3)."""
+def _places(finger: str, pad: dict[str, Any], others: list[Array]) -> list[Array]:
+    """Returns places (3,) on a tip's ellipsoid, in its frame: the nearest to the pad's middle that are a pitch from
+    each other and from the `others`."""
     semi_axes, _ = tip_shape(finger)
     facing = THUMB_FACES if finger == "th" else np.array([0.0, -1.0, 0.0])
     middle = semi_axes * (np.sqrt(1 - pad["up"] ** 2) * facing + [0.0, 0.0, pad["up"]])
     many = semi_axes * se3.directions(20000)
-    many = many[np.argsort(np.linalg.norm(many - middle, axis=1))]
-    chosen = list(others)
-    for place in many:
-        if len(chosen) == len(others) + pad["number"]:
+    apart = 0.97 * pad["pitch"]
+    chosen = list[Array]()
+    for place in many[np.argsort(np.linalg.norm(many - middle, axis=1))]:
+        if len(chosen) == pad["number"]:
             break
-        if not chosen or np.linalg.norm(np.array(chosen) - place, axis=1).min() > 0.97 * pad["pitch"]:
+        taken = np.array([*others, *chosen]).reshape(-1, 3)
+        if (np.linalg.norm(taken - place, axis=1) > apart).all():
             chosen.append(place)
-    return np.array(chosen[len(others) :])
+    return chosen
 
 
 class TaxelSensors:
@@ -246,10 +236,9 @@ class TaxelSensors:
 
     def __init__(self, scenario: Scenario) -> None:
         """Draws by the scenario's seed."""
-        seed = int(scenario.seed)
-        constant = np.random.default_rng((seed, 11))
-        faulty = np.random.default_rng((seed, 19))
-        self._noise = np.random.default_rng((seed, 12))
+        constant = scenario.stream(11)
+        faulty = scenario.stream(19)
+        self._noise = scenario.stream(12)
         self._nuisances = n = scenario.nuisances
         self._solid = Solid.of(scenario.object)
         self.surfaces = surfaces(scenario.sensors, scenario.skin)
@@ -258,25 +247,27 @@ class TaxelSensors:
         self._offset = dict[str, Array]()
         self._dead = dict[str, Indices]()
         self._last = dict[str, Array]()
+        self._skins = dict[str, ElasticSkin]()  # by link
+        self._names = dict[str, list[str]]()  # of the surfaces on each
         for name, surface in self.surfaces.items():
             places = len(surface.points)
             self._uneven[name] = n.skin_uneven * constant.normal(size=places)
             self._offset[name] = n.skin_offset * constant.normal(size=(places, surface.components))
             dead = n.taxel_dead if n.taxel_dead >= 1 else n.taxel_dead * places
             self._dead[name] = faulty.permutation(places)[: 0 if self._plain else round(dead)]
-        self._skins = dict[
-            str, tuple[str, ElasticSkin, list[str]]
-        ]()  # by link: frame, skin, names of surfaces
-        for finger in () if self._plain else FINGERS:
-            names = [name for name in self.surfaces if name.startswith(finger)]
+            link = "palm" if name == "palm" else name[:2]
+            self._names.setdefault(link, []).append(name)
+        for link, names in self._names.items():
+            if link == "palm":
+                self._skins[link] = ElasticSkin.flat(self.surfaces[link])
+                continue
             mine = [self.surfaces[name] for name in names]
             points = np.concatenate([each.points for each in mine])
             # A taxel measures springs within 0.85 of a pitch.
             reach = np.concatenate([np.full(len(each.points), 0.85 * each.pitch) for each in mine])
-            skin = ElasticSkin.ellipsoid(tip_shape(finger)[0], _tip_pose(finger), points, reach)
-            self._skins[finger] = mine[0].frame, skin, names
-        if scenario.skin:
-            self._skins["palm"] = PALM, ElasticSkin.flat(self.surfaces["palm"]), ["palm"]
+            semi_axes, height = tip_shape(link)
+            T = se3.translation([0.0, 0.0, SENSOR_Z + height])
+            self._skins[link] = ElasticSkin.ellipsoid(semi_axes, T, points, reach)
 
     def readings(self, world: World) -> dict[str, Array]:
         """Returns the readings of all surfaces [N], by name, in their shape."""
@@ -287,53 +278,44 @@ class TaxelSensors:
 
         The table, and other links, press as planes that touch the tip where the simulator's contact is.
         """
-        T_palm_object = world.T_palm_object()
         contacts = world.link_contacts()
         found = dict[str, Array]()
-        for link, (frame, skin, names) in self._skins.items():
-            T_frame_palm = se3.inverse(world.pose(frame)) @ world.pose(PALM)
-            uneven = np.concatenate([self._uneven[name] for name in names])
-            total = np.zeros((len(uneven) + 1, 3))
+        for link, names in self._names.items():
+            T_frame_palm = se3.inverse(world.pose(self.surfaces[names[0]].frame)) @ world.pose(PALM)
+            T_frame_object = T_frame_palm @ world.T_palm_object()
+            uneven = [self._uneven[name] for name in names]
+            total = np.zeros((sum(map(len, uneven)) + 1, 3))
             on_link = [contact for contact in contacts if contact.finger == link]
             for other in {contact.other for contact in on_link}:
                 mine = [contact for contact in on_link if contact.other == other]
-                total += self._pressed(skin, mine, T_frame_palm, T_palm_object, uneven)
-            ends = np.cumsum([len(self._uneven[name]) for name in names])
+                R = T_frame_palm[:3, :3]
+                force = R @ np.sum([each.force_palm for each in mine], axis=0)
+                weights = [np.linalg.norm(each.force_palm) + 1e-12 for each in mine]
+                push = R @ np.average([each.normal_palm for each in mine], 0, weights)
+                push /= np.linalg.norm(push)
+                solid = self._solid
+                T = T_frame_object
+                if other != "object":
+                    point = se3.apply(T_frame_palm, mine[0].point_palm[None])[0]
+                    solid = Solid(-push[None], np.array([-push @ point]))
+                    T = np.eye(4)
+                torque = sum(each.torque for each in mine)
+                bed = self._skins[link]
+                total += bed.forces(solid, T, force, push, np.concatenate(uneven), torque=torque)
+            ends = np.cumsum(list(map(len, uneven)))
             found |= dict(zip(names, np.split(total, ends)[:-1], strict=True))
         return found
-
-    def _pressed(
-        self,
-        skin: ElasticSkin,
-        contacts: list[TipContact],
-        T_frame_palm: Array,
-        T_palm_object: Array,
-        uneven: Array,
-    ) -> Array:
-        """Returns the forces (n + 1, 3) on a link's skin of one body, by its contacts; see `ElasticSkin.forces` [N]."""
-        R = T_frame_palm[:3, :3]
-        force = R @ np.sum([each.force_palm for each in contacts], axis=0)
-        weights = [np.linalg.norm(each.force_palm) + 1e-12 for each in contacts]
-        push = R @ np.average([each.normal_palm for each in contacts], 0, weights)
-        push /= np.linalg.norm(push)
-        solid = self._solid
-        T = T_frame_palm @ T_palm_object
-        if contacts[0].other != "object":
-            point = se3.apply(T_frame_palm, contacts[0].point_palm[None])[0]
-            solid = Solid(-push[None], np.array([-push @ point]))
-            T = np.eye(4)
-        torque = sum(each.torque for each in contacts)
-        return skin.forces(solid, T, force, push, uneven, torque=torque)
 
     def read(self, name: str, forces: Array) -> Array:
         """Returns a surface's reading of true forces (n, 3) in its link."""
         n = self._nuisances
         surface = self.surfaces[name]
-        near = surface.taxels["near"]
+        share = n.skin_noise
         true = np.einsum("nik,ni->nk", surface.taxels["axes"], forces)[:, -surface.components :]
         true[:, -1] *= -1  # into the skin
-        share = n.skin_noise if self._plain else n.taxel_noise
         if not self._plain:
+            share = n.taxel_noise
+            near = surface.taxels["near"]
             padded = np.vstack([true, np.zeros(surface.components)])
             own = (near < len(true)).sum(axis=1)[:, None]
             true = true + n.taxel_crosstalk * (padded[near].sum(axis=1) - own * true)
@@ -341,7 +323,9 @@ class TaxelSensors:
             true = np.clip(self._last.get(name, true), true - play, true + play)
             self._last[name] = true
         drawn, floor = self._noise.normal(size=(2, *true.shape))
-        read = true * (1 + share * drawn) + (SIGMA_UNLOADED * floor if share else 0.0) + self._offset[name]
-        read[self._dead[name]] = self._offset[name][self._dead[name]]
-        read = np.minimum(read, surface.full_scale or np.inf)
-        return np.asarray(read.reshape(surface.shape))
+        unloaded = SIGMA_UNLOADED if share else 0.0
+        offset = self._offset[name]
+        read = true * (1 + share * drawn) + unloaded * floor + offset
+        dead = self._dead[name]
+        read[dead] = offset[dead]
+        return np.asarray(np.minimum(read, surface.full_scale or np.inf).reshape(surface.shape))

@@ -22,7 +22,7 @@ from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import STEPS_PER_SECOND, Nuisances, Phase, Sample, Scenario
-from handsight.simulation.scene import PALM, T_MOUNT_PALM, rows, scene
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, bounds, rows
 from handsight.simulation.simulate import Sensors, samples
 from handsight.simulation.tables import tables
 from handsight.simulation.world import World
@@ -71,16 +71,17 @@ class Probe(World):
         rig = rig_of(scenario)
         self._tips = FingertipSensors(rig)
         self._finger = rig.fingers[FINGER]
-        self._tip_index = list(rig.hand.tips).index(FINGER)
         self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
         R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
-        low, high = scene(scenario.object).bounds_object
-        self.top = float(np.abs(R_scene_object[2]) @ (high - low))
+        self.top = float(np.abs(R_scene_object[2]) @ np.ptp(bounds(scenario.object), axis=0))
         """Height of the object above the table [m]."""
         below = R_world_palm.T @ [0.0, 0.0, -0.5]
-        T_palm_middle = se3.compose(R_world_palm.T @ R_scene_object, below)
         grasp = Grasp(
-            T_palm_middle, opening=tables()["fist"], closed={}, height=self.top / 2, R_world_palm=R_world_palm
+            T_palm_middle=se3.compose(R_world_palm.T @ R_scene_object, below),
+            opening=tables()["fist"],
+            closed={},
+            height=self.top / 2,
+            R_world_palm=R_world_palm,
         )
         super().__init__(replace(scenario, motion="grasp", images=False), grasp)
         self._hold_object(self._start)
@@ -103,7 +104,7 @@ class Probe(World):
     @property
     def T_world_object(self) -> Array:
         """True pose (4, 4) in the robot's world."""
-        return np.asarray(self._sensors.T_world_scene @ self.pose("object"))
+        return self._sensors.T_world_scene @ self.pose("object")
 
     @property
     def heights(self) -> Array:
@@ -117,27 +118,27 @@ class Probe(World):
         `places` (n, 2) are in the world [m]. Those beside the table are left out; raises InvalidInput where all are.
         """
         found = []
+        down = _distances(2 * TABLE_START)[:, None] * [0.0, 0.0, -1.0]
         for x, y in np.atleast_2d(places):
             begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, TABLE_START]))
             self._travel(begin)
-            down = _distances(2 * TABLE_START)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, down)):
                 sensed = self._tips.contacts(sample.observation)
                 if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
                     T = self._tip(sample.observation)
                     # The lowest point of the tip's ellipsoid.
-                    low = float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
+                    low = T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes)
                     found.append([*T[:2, 3], low])
                     break
         if not found:
-            came = f"touched nothing at any of {len(np.atleast_2d(places))}"
-            raise InvalidInput(f"places: expected some over the table, {came}")
+            raise InvalidInput("places: expected some over the table, touched nothing at any of them")
         points = np.array(found)
-        points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < TABLE_UNEVENNESS]
+        heights = points[:, 2]
+        even = np.abs(heights - np.median(heights)) < TABLE_UNEVENNESS
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
         prior = SIGMA_HEIGHT / Nuisances().table_tilt
-        rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
-        height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
+        rows = np.vstack([np.insert(points[even, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
+        height, *slopes = np.linalg.lstsq(rows, np.append(heights[even], [0.0, 0.0]), rcond=None)[0]
         R_world_table = se3.axes_along(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
         return float(height * R_world_table[2, 2]), R_world_table
 
@@ -224,24 +225,25 @@ class Probe(World):
     def _tip(self, observation: Observation) -> Array:
         """Returns T_world_tip (4, 4) of the stretched finger's tip as the robot measures it."""
         T_palm_tip = self._finger_in_palm(observation.joint_positions or {})
-        return np.asarray(np.asarray(observation.T_world_palm) @ T_palm_tip)
+        return np.asarray(observation.T_world_palm) @ T_palm_tip
 
     def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
         """Returns T_palm_tip (4, 4) of the stretched finger at joints [rad]; its origin is the tip's middle."""
-        T_palm_frame = self._tips.rig.hand.Ts_palm_tip(joints)[self._tip_index]
+        hand = self._tips.rig.hand
+        T_palm_frame = hand.Ts_palm_tip(joints)[list(hand.tips).index(FINGER)]
         return np.asarray(T_palm_frame @ self._finger.T_frame_surface)
 
 
 def _distances(length: float) -> Array:
     """Returns the tip's distance (n,) from the start of a sweep after each step of the simulation [m]."""
-    speed, rise = SPEED, ACCELERATION_TIME
-    t = np.arange(0.0, length / speed + rise / 2, 1 / STEPS_PER_SECOND)
-    return np.asarray(speed * np.where(t < rise, t**2 / (2 * rise), t - rise / 2))
+    rise = ACCELERATION_TIME
+    t = np.arange(0.0, length / SPEED + rise / 2, 1 / STEPS_PER_SECOND)
+    return np.asarray(SPEED * np.where(t < rise, t**2 / (2 * rise), t - rise / 2))
 
 
 def _shifted(T: Array, shift: Array) -> Array:
     """Returns a pose (4, 4) moved by (3,), or by each of (n, 3) [m]."""
-    return np.asarray(se3.compose(T[:3, :3], T[:3, 3] + shift))
+    return se3.compose(T[:3, :3], T[:3, 3] + shift)
 
 
 AREA_SIDE = 0.3
@@ -271,22 +273,19 @@ def start_search(
     With `recording` the hand keeps all its samples. Raises as `simulate`.
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
-    seed = int(scenario.seed)
     sides = np.ptp(model.vertices @ R.T, axis=0)
     half = AREA_SIDE / 2 - min(sides[:2]) / 2
     if not half > 0:
         size = " x ".join(f"{1000 * side:.0f}" for side in sides)
-        most = 1000 * AREA_SIDE
-        raise InvalidInput(f"object: expected one within {most:.0f} mm, got {size} mm")
-    x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
+        raise InvalidInput(f"object: expected one within {1000 * AREA_SIDE:.0f} mm, got {size} mm")
+    most = [half, half, np.pi]
+    x, y, turn = scenario.stream(11).uniform(np.negative(most), most)
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    sigma_height = 0.0015
-    sigma_tilt = math.radians(0.5)
-    table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
+    table = Table(height=height, sigma_height=0.0015, sigma_tilt=math.radians(0.5))
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
-    return probe, Belief(with_symmetries_of_touch(model, SIGMA_TIP), area, seed)
+    return probe, Belief(with_symmetries_of_touch(model, SIGMA_TIP), area, int(scenario.seed))
 
 
 def simulate_touch_search(
@@ -308,21 +307,21 @@ def simulate_touch_search(
     while not belief.modes[0].is_certain:
         if len(belief.touches) == MAX_TOUCHES:
             known = f"its position is known to {1e3 * belief.modes[0].sigma_position:.0f} mm"
-            raise NotFound(f"the object was not found by {len(belief.touches)} touches: {known}")
+            raise NotFound(f"the object was not found by {MAX_TOUCHES} touches: {known}")
         belief = belief.after(probe.touch(best_sweep(belief, probe.heights, TIP_RADIUS)))
         yield from probe.recorded
         probe.recorded.clear()
         watch(belief, probe.T_world_object)
     # The hand closes at the estimated pose, the object is at the true one.
-    found, begins = belief.pose, probe.time + 0.5  # [s]; the hand's way to the object is not simulated
-    T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
+    found = belief.pose
+    T_object_middle = se3.translation(belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off
     # The scene has the object upright at its origin, and the hand on the side on which its table ends.
     R_scene_palm = R_scene_object @ T_palm_middle[:3, :3].T
     away = grasp.R_world_palm @ R_scene_palm.T
-    turn = np.arctan2(away[1, 0] - away[0, 1], away[0, 0] + away[1, 1])
-    R_scene_palm = se3.rotation_exp(np.array([0.0, 0.0, turn])) @ R_scene_palm
+    turn = np.array([0.0, 0.0, np.arctan2(away[1, 0] - away[0, 1], away[0, 0] + away[1, 1])])
+    R_scene_palm = se3.rotation_exp(turn) @ R_scene_palm
     world = World(scenario, replace(grasp, T_palm_middle=T_palm_middle, R_world_palm=R_scene_palm))
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
@@ -330,6 +329,7 @@ def simulate_touch_search(
     for (sample,) in samples(scenario, world, [sensors]):
         if sample is None:
             continue
-        stamp = begins + sample.observation.stamp
+        # The hand's way to the object, of half a second, is not simulated.
+        stamp = probe.time + 0.5 + sample.observation.stamp
         yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
         vision = None

@@ -4,7 +4,7 @@ The object has its mass, and forces on it that no sensor of the hand measures.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -13,7 +13,6 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
-from handsight.rig import Rig
 from handsight.simulation.hand_in_world import servo_name
 from handsight.simulation.motion import (
     AT_REST,
@@ -28,7 +27,6 @@ from handsight.simulation.motion import (
 from handsight.simulation.scenario import (
     OBJECT_MASS,
     STEPS_PER_SECOND,
-    Nuisances,
     Phase,
     Profile,
     Scenario,
@@ -39,6 +37,7 @@ from handsight.simulation.scene import (
     PALM_GEOM,
     SimulatedScene,
     TipErrors,
+    bounds,
     mujoco_module,
     rows,
     scene,
@@ -72,30 +71,30 @@ class Payload:
     def of(cls, scenario: Scenario) -> "Payload":
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n = scenario.nuisances
-        rng = np.random.default_rng((int(scenario.seed), 10))
+        rng = scenario.stream(10)
         off = rng.normal(size=3)
         force = rng.normal(size=3)
-        touch: dict[str, Any] = {
-            "friction": float(n.friction),
-            "pyramidal": bool(n.pyramidal_friction),
-            "softness": float(n.contact_softness),
-            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
-            "coupling_errors": coupling_errors(n, int(scenario.seed), scenario.rig),
-            "rig": scenario.rig,
-        }
-        usual = scene(scenario.object, **touch)
-        low, high = usual.bounds_object
-        point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
+        low, high = bounds(scenario.object)
+        size = high - low
+        middle = (low + high) / 2
+        point = middle + rng.uniform(-0.5, 0.5, 3) * size
         # The underside is the lower end of the object's z axis, which is vertical when it is grasped.
-        base = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
+        base = middle + rng.uniform(-0.5, 0.5, 3) * size
         base[2] = low[2]
-        mass = n.object_mass or OBJECT_MASS
-        if mass != OBJECT_MASS or n.object_off_center:
-            most = (high - low) / 3
-            shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
-            usual = scene(scenario.object, mass, tuple(shift.tolist()), **touch)
-        return cls(usual, force, point, n.support_force, base)
+        x, y, z = np.clip(n.object_off_center * off / np.linalg.norm(off), -size / 3, size / 3)
+        built = scene(
+            scenario.object,
+            float(n.object_mass or OBJECT_MASS),
+            (float(x), float(y), float(z)),
+            friction=float(n.friction),
+            pyramidal=bool(n.pyramidal_friction),
+            softness=float(n.contact_softness),
+            tip_errors=tip_errors(scenario),
+            coupling_errors=coupling_errors(scenario),
+            rig=scenario.rig,
+        )
+        return cls(built, force, point, n.support_force, base)
 
     def press(self, data: "MjData") -> None:
         """Applies the unsensed force and the support to the object for the next step."""
@@ -111,17 +110,16 @@ class Payload:
         body.xfrc_applied[3:] = np.cross(point - center, force) + np.cross(base - center, support)
 
 
-def tip_errors(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> TipErrors:
+def tip_errors(scenario: Scenario) -> TipErrors:
     """Returns by how much each finger's true radius and length differ from the rig's [m]."""
-    draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(fingers), 2)), -2, 2)
-    return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
+    draws = np.clip(scenario.stream(14).normal(size=(len(scenario.fingers), 2)), -2, 2)
+    return tuple(map(tuple, (scenario.nuisances.tip_size * draws).tolist()))
 
 
-def coupling_errors(nuisances: Nuisances, seed: int, rig: Rig | None) -> tuple[float, ...]:
+def coupling_errors(scenario: Scenario) -> tuple[float, ...]:
     """Returns by how much each coupled joint of a rig's hand is off its law [rad]."""
-    count = 0 if rig is None else len(rig.hand.couplings.laws)
-    draws = np.random.default_rng((seed, 21)).normal(size=count)
-    return tuple((nuisances.coupled_joint * draws).tolist())
+    laws = scenario.rig.hand.couplings.laws if scenario.rig else ()
+    return tuple((scenario.nuisances.coupled_joint * scenario.stream(21).normal(size=len(laws))).tolist())
 
 
 class Pull:
@@ -129,7 +127,7 @@ class Pull:
 
     def __init__(self, scenario: Scenario, normals_palm: Array) -> None:
         """Draws by the scenario's seed; `normals_palm` (n, 3) are those of the tips' contacts with the object."""
-        rng = np.random.default_rng((int(scenario.seed), 11))
+        rng = scenario.stream(11)
         direction, axis = rng.normal(size=(2, 3))
         across = normals_palm.T @ normals_palm / max(len(normals_palm), 1)
         # Rarely across all tips: it pulls along their surfaces, not off them.
@@ -189,8 +187,10 @@ class World:
         self._scenario = scenario
         self._load = Payload.of(scenario)
         self.scene = self._load.scene
-        self.data: Any = self._mujoco.MjData(self.scene.model)
-        self._grasp = perturbed(grasp, np.random.default_rng((int(scenario.seed), 1)))
+        self.palm = self.scene.hand.palm
+        self._model = self.scene.model
+        self.data: Any = self._mujoco.MjData(self._model)
+        self._grasp = perturbed(grasp, scenario.stream(1))
         self._pulled = pulls(scenario.motion)
         self._pull: Pull | None = None
         self._closed = 0.0
@@ -199,8 +199,7 @@ class World:
         low, high = self.scene.bounds_object
         middle = np.array([0.0, 0.0, grasp.height])
         T_world_middle = se3.compose(grasp.R_world_palm @ grasp.T_palm_middle[:3, :3], middle)
-        T_middle_object = se3.compose(np.eye(3), -(low + high) / 2)
-        self._start = rows(T_world_middle @ T_middle_object)
+        self._start = rows(T_world_middle @ se3.translation(-(low + high) / 2))
         legs = LEGS["pull" if self._pulled else scenario.motion]
         self.duration = AT_REST + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
@@ -208,8 +207,8 @@ class World:
         Ts_world_palm = palm_poses(legs, times - AT_REST, T_world_palm, middle)
         self._arm = rows(Ts_world_palm @ se3.inverse(self.scene.hand.T_mount_palm))
         self._open_hand()
-        touching = [*self.object_contacts(), *self.tip_contacts()]
-        if max((contact.depth for contact in touching), default=0.0) > MAX_DEPTH:
+        touching = (*self.object_contacts(), *self.tip_contacts())
+        if any(contact.depth > MAX_DEPTH for contact in touching):
             size = " x ".join(f"{1000 * side:.0f}" for side in high - low)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
@@ -227,7 +226,7 @@ class World:
         waiting = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
         for _ in range(round(0.15 * STEPS_PER_SECOND)):  # [s]
             self._hold_object(waiting)
-            self._mujoco.mj_step(self.scene.model, self.data)
+            self._mujoco.mj_step(self._model, self.data)
         self.refresh()
 
     @property
@@ -260,7 +259,7 @@ class World:
             self._pull_object()
         elif self.phase == "move":
             self._load.press(self.data)
-        self._mujoco.mj_step(self.scene.model, self.data)
+        self._mujoco.mj_step(self._model, self.data)
         fallen = self.data.joint("object")
         if fallen.qpos[2] < FLOOR:
             fallen.qpos[2] = FLOOR
@@ -276,15 +275,15 @@ class World:
         slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
         speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
         wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
-        wrench = wrench_palm @ self.pose(self.scene.hand.palm)[:3, :3].T
-        self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
+        wrench = wrench_palm @ self.pose(self.palm)[:3, :3].T
+        self.data.xfrc_applied[self._model.body("object").id] = wrench.ravel()
 
     def refresh(self) -> None:
         """Computes poses and sensors at the current instant: after a step they are those of the step's beginning."""
         if self.phase == "close":
             self._hold_object(self._start)
         self._move_arm()  # else the arm is pulled to its target of the previous step
-        self._mujoco.mj_forward(self.scene.model, self.data)
+        self._mujoco.mj_forward(self._model, self.data)
 
     def pose(self, name: str) -> Array:
         """Returns T_world_body (4, 4) of a body; a tip's is its sensor's frame."""
@@ -297,14 +296,15 @@ class World:
 
     def T_palm_object(self) -> Array:
         """Returns the true pose (4, 4)."""
-        return se3.inverse(self.pose(self.scene.hand.palm)) @ self.pose("object")
+        return se3.inverse(self.pose(self.palm)) @ self.pose("object")
 
     def moved(self) -> tuple[float, float]:
         """Returns how far [m], and by what angle [rad], the object has moved in the palm since it became free."""
         if self._T_palm_object_freed is None:
             return 0.0, 0.0
         moved = se3.difference(self.T_palm_object(), self._T_palm_object_freed)
-        return float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
+        shift, turn = np.linalg.norm(moved.reshape(2, 3), axis=1)
+        return float(shift), float(turn)
 
     def dropped(self) -> bool:
         """Returns whether the object has left the grasp since it became free."""
@@ -313,9 +313,8 @@ class World:
 
     def object_contacts(self) -> list[TipContact]:
         """Returns the object's contacts with all parts of the hand, each by the part's geom."""
-        model = self.scene.model
-        others = ("object", "table")
-        hand = {k: model.geom(k).name for k in range(model.ngeom) if model.geom(k).name not in others}
+        names = [self._model.geom(k).name for k in range(self._model.ngeom)]
+        hand = {k: name for k, name in enumerate(names) if name not in ("object", "table")}
         return [contact for contact in self._contacts(hand) if contact.other == "object"]
 
     def thrown(self) -> bool:
@@ -329,32 +328,33 @@ class World:
 
     def link_contacts(self) -> tuple[TipContact, ...]:
         """Returns the contacts of the fingertips and of the Shadow hand's palm, whose `finger` is `palm`."""
-        if self.scene.hand.palm != PALM:
+        if self.palm != PALM:
             return self.tip_contacts()
-        return self._contacts(self.scene.tips | {self.scene.model.geom(PALM_GEOM).id: "palm"})
+        return self._contacts(self.scene.tips | {self._model.geom(PALM_GEOM).id: "palm"})
 
     def _contacts(self, named: Mapping[int, str]) -> tuple[TipContact, ...]:
         """Returns the contacts of geoms, each with its name."""
-        T_palm_world = se3.inverse(self.pose(self.scene.hand.palm))
+        T_palm_world = se3.inverse(self.pose(self.palm))
         R = T_palm_world[:3, :3]
         found = []
-        for i, contact in enumerate(self.data.contact[: self.data.ncon]):
+        wrench = np.zeros(6)  # along the contact's own axes, its normal first
+        for i, contact in enumerate(self.data.contact):
             for side, geom in enumerate(contact.geom.tolist()):
                 if geom not in named or contact.exclude:
                     continue
                 # MuJoCo's normal and force are from the first geom to the second.
                 sign = 1.0 if side == 1 else -1.0
-                axes = np.asarray(contact.frame).reshape(3, 3)
+                axes = contact.frame.reshape(3, 3)
                 other = int(contact.geom[1 - side])
                 # A contact's position is in the middle of the overlap.
                 point = contact.pos + sign * contact.dist / 2 * axes[0]
                 velocity = self._velocity(other, point) - self._velocity(geom, point)
-                wrench = self._wrench(i)
+                self._mujoco.mj_contactForce(self._model, self.data, i, wrench)
                 touch = TipContact(
                     finger=named[geom],
                     point_palm=se3.apply(T_palm_world, point[None])[0],
                     force_palm=R @ (sign * axes.T @ wrench[:3]),
-                    other=self.scene.model.geom(other).name,
+                    other=self._model.geom(other).name,
                     normal_palm=R @ (sign * axes[0]),
                     velocity_palm=(velocity @ R.T).ravel(),
                     torque=float(wrench[3]),
@@ -363,20 +363,15 @@ class World:
                 found.append(touch)
         return tuple(found)
 
-    def _wrench(self, i: int) -> Array:
-        """Returns force [N] and torque [N m], (6,), of the i-th contact along its own axes, its normal first."""
-        wrench = np.zeros(6)
-        self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
-        return wrench
-
     def _velocity(self, geom: int, point: Array) -> Array:
         """Returns velocity [m/s] of a point of a geom's body, and the body's angular velocity [rad/s], (2, 3) in the
         world."""
-        body = int(self.scene.model.geom_bodyid[geom])
+        body = int(self._model.geom_bodyid[geom])
         found = np.zeros(6)
         kind = self._mujoco.mjtObj.mjOBJ_BODY
-        self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)
-        return np.stack([found[3:] + np.cross(found[:3], point - self.data.xipos[body]), found[:3]])
+        self._mujoco.mj_objectVelocity(self._model, self.data, kind, body, found, 0)
+        turning, moving = found.reshape(2, 3)
+        return np.stack([moving + np.cross(turning, point - self.data.xipos[body]), turning])
 
     def _hold_object(self, row: Array) -> None:
         free = self.data.joint("object")

@@ -61,12 +61,13 @@ def info_of(model: ObjectModel) -> dict[str, object]:
     """Returns the values of `models_info.json` for an object."""
     low, high = model.bounds_object / METRES
     symmetries = model.symmetries
-    turns = [se3.compose(T[:3, :3], T[:3, 3] / METRES) for T in symmetries.rotations[1:]]
+    turns = symmetries.rotations[1:].copy()
+    turns[:, :3, 3] /= METRES
     return {
         "diameter": model.diameter / METRES,
-        **{f"min_{axis}": float(low[k]) for k, axis in enumerate("xyz")},
-        **{f"size_{axis}": float(high[k] - low[k]) for k, axis in enumerate("xyz")},
-        "symmetries_discrete": [[float(x) for x in T.reshape(-1)] for T in turns],
+        **dict(zip(("min_x", "min_y", "min_z"), low.tolist(), strict=True)),
+        **dict(zip(("size_x", "size_y", "size_z"), (high - low).tolist(), strict=True)),
+        "symmetries_discrete": turns.reshape(-1, 16).tolist(),
         "symmetries_continuous": [
             {"axis": axis.tolist(), "offset": (point / METRES).tolist()} for point, axis in symmetries.axes
         ],
@@ -82,7 +83,8 @@ def symmetries_of(info: Info) -> Symmetries:
         given = np.array(matrix).reshape(4, 4)
         shift = checks.position(METRES * given[:3, 3], name, (3,))
         R = _nearest_rotations(given[:3, :3])
-        if not (np.abs(R - given[:3, :3]).max() < TOLERANCE and (given[3] == [0, 0, 0, 1]).all()):
+        exact = se3.compose(R, given[:3, 3])
+        if not np.abs(exact - given).max() < TOLERANCE or (exact[3] != given[3]).any():
             raise InvalidInput(f"{name}: expected a rigid transform, got {checks.brief(given)}")
         turns.append(se3.compose(R, shift))
     lines = []
@@ -259,10 +261,10 @@ class Entry:
     @property
     def size(self) -> tuple[float, float, float] | None:
         """Extent along x, y, z [m]; None where the documents do not state it."""
-        x = self.info.size_x
-        y = self.info.size_y
-        z = self.info.size_z
-        return None if x is None or y is None or z is None else (METRES * x, METRES * y, METRES * z)
+        info = self.info
+        if info.size_x is None or info.size_y is None or info.size_z is None:
+            return None
+        return METRES * info.size_x, METRES * info.size_y, METRES * info.size_z
 
     @cached_property
     def symmetries(self) -> Symmetries:

@@ -34,6 +34,7 @@ from handsight.objects.library.documents import (
     Entry,
     Facts,
     NoLibrary,
+    Record,
     entries,
     info_of,
 )
@@ -66,18 +67,17 @@ def new_object(
         data = ply_bytes(read_shape(path), scale / METRES)
         if len(data) > LARGEST_FILE:
             raise InvalidFile(f"{path.name}: expected at most {LARGEST_FILE} bytes as PLY, got {len(data)}")
-    return msgspec.to_builtins(facts) | _identity(data), info_of(model), data
+    identity = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+    return msgspec.to_builtins(facts) | identity, info_of(model), data
 
 
 def check_inside(facts: Facts, model: ObjectModel) -> None:
     """Raises InvalidInput for a centre of mass outside the object's bounds."""
     if facts.center_of_mass is None:
         return
-    # models are not exact
     center = np.array(facts.center_of_mass)
-    slack = 0.05 * model.diameter
-    low = model.bounds_object[0] - slack
-    high = model.bounds_object[1] + slack
+    slack = 0.05 * model.diameter  # models are not exact
+    low, high = model.bounds_object + np.array([[-slack], [slack]])
     if not ((low <= center) & (center <= high)).all():
         bounds = f"{checks.brief(low.round(4))} to {checks.brief(high.round(4))}"
         raise InvalidInput(f"center_of_mass: expected metres from {bounds}, got {checks.brief(center)}")
@@ -138,23 +138,16 @@ class Folder:
             write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
             write_file(models / INFO, _json(infos))
 
-    def revise(self, number: int, facts: Facts) -> None:
+    def revise(self, number: int, record: Record) -> None:
         """Replaces the facts of an object; raises NotWritten, InvalidFile without a library."""
         models = self.models
         with locked(models):
-            known = _facts(self.documents())
-            before = known.get(str(number)) or _identity(content(models / f"obj_{number:06d}.ply"))
-            new = msgspec.to_builtins(facts) | {key: before[key] for key in ("sha256", "bytes")}
-            document = {"version": VERSION, "objects": {**known, str(number): new}}
-            write_file(models / FACTS, _json(document))
+            objects = _facts(self.documents()) | {str(number): msgspec.to_builtins(record)}
+            write_file(models / FACTS, _json({"version": VERSION, "objects": objects}))
 
 
 def _facts(documents: Documents) -> JsonObject:
     return {} if documents[1] is None else decode_object(documents[1], FACTS)["objects"]
-
-
-def _identity(data: bytes) -> JsonObject:
-    return {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
 
 
 def _json(document: JsonObject) -> bytes:

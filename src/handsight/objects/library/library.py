@@ -6,23 +6,23 @@ data set is a library, and tools for BOP read a library. Names, masses, licences
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+import msgspec
 import numpy as np
 
 from handsight import checks
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
-from handsight.objects.library.documents import METRES, SURFACE_TOLERANCE, Entry, Facts, NoLibrary, entries
+from handsight.objects.library.documents import METRES, SURFACE_TOLERANCE, Entry, Facts, entries
 from handsight.objects.library.folder import Folder, check_inside, new_object
 from handsight.objects.library.remote import Remote, without_password
 from handsight.objects.model import ObjectModel
-from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import diameter
 from handsight.objects.symmetry import Symmetries
 from handsight.objects.symmetry_search import check_symmetries
@@ -159,50 +159,12 @@ class Library:
         entry = self.entry(name)
         if entry.facts is None:
             raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
-        x, y, z = (float(value) for value in np.round(center_of_mass, 6))
-        facts = Facts(
-            name=entry.facts.name,
-            licence=entry.facts.licence,
-            source=entry.facts.source,
-            origin_file=entry.facts.origin_file,
-            sigma_scale=entry.facts.sigma_scale,
+        facts = msgspec.structs.replace(
+            entry.facts,
             mass=round(mass, 6),
-            center_of_mass=(x, y, z),
+            center_of_mass=tuple(np.round(center_of_mass, 6).tolist()),
             sigma_center_of_mass=round(float(sigma_center_of_mass), 6),
         )
         check_inside(facts, self.model(name))
         self._source.revise(entry.number, facts)
         return self.entry(name)
-
-
-def find_model(
-    name: str,
-    objects: Mapping[str, ObjectSpec],
-    place: str,
-    *,
-    library: Library,
-    scale: float = 1.0,
-    argument: str = "object",
-) -> ObjectModel:
-    """Returns the model of a rig's object of that name, else of the mesh file at that path, else of a library's object.
-
-    `objects`: the rig's, by name; `place`: what a message calls the rig, empty where there is none; `scale`: metres per
-    unit of the mesh file. Raises InvalidInput with `argument` in front where there is no such object, and the errors of
-    reading the one that was found.
-    """
-    if name in objects:
-        return replace(objects[name].model(), name=name)
-    if Path(name).is_file():
-        return ObjectModel.from_file(name, scale=scale)
-    try:
-        known = library.entries()
-    except NoLibrary:  # a library is optional
-        known = ()
-    for entry in known:
-        if entry.is_called(name):
-            return library.model(entry.name)
-    in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
-    near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
-    raise InvalidInput(
-        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
-    )

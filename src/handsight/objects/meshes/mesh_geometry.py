@@ -8,7 +8,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
-from handsight.objects.meshes.repair import components, repaired, side_samples
+from handsight.objects.meshes.repair import repaired, side_samples
+from handsight.objects.pieces import components
 from handsight.objects.scans.scan import smoothed
 from handsight.objects.surface import MAX_HOLE, Triangles, diameter, unit
 
@@ -24,15 +25,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     winding = Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
-    closed = bool(holes[1].max(initial=0.0) <= MAX_HOLE * size)
-    if closed:  # are the winding numbers those of a closed surface?
-        points, normals, _ = side_samples(mesh)
-        step = 1e-4 * size * normals
-        behind = winding.at(points - step)
-        front = winding.at(points + step)
-        # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
-        good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-        closed = bool(good.mean() >= 0.95)  # those of nearly all samples
+    closed = bool(holes[1].max(initial=0.0) <= MAX_HOLE * size) and _winds(mesh, winding, size)
     if closed:
         signed = partial(signed_by_winding, winding, holes)
     else:
@@ -47,6 +40,17 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     fields = grid_fields(coarse, values, fine, exact, sheet=not closed)
     geometry = geometry_of(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     return geometry if roughness is None else roughened(geometry, roughness)
+
+
+def _winds(mesh: Triangles, winding: Winding, size: float) -> bool:
+    """Returns whether the winding numbers beside nearly all samples of a mesh are those of a closed surface."""
+    points, normals, _ = side_samples(mesh)
+    step = 1e-4 * size * normals
+    behind = winding.at(points - step)
+    front = winding.at(points + step)
+    # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
+    good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
+    return bool(good.mean() >= 0.95)
 
 
 def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
@@ -69,9 +73,10 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     # Four places around each piece, between the directions along its triangle and across it.
     of_edge = np.empty(len(rim), dtype=np.int64)
     of_edge[edges.of_face] = np.arange(len(mesh.faces))[:, None]
-    normal = unit(mesh.doubled_normals[of_edge[rim]])
-    lateral = unit(np.cross(mesh.doubled_normals[of_edge[rim]], along))
-    turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
+    across = mesh.doubled_normals[of_edge[rim]]
+    normal = unit(across)
+    lateral = unit(np.cross(across, along))
+    turns = np.stack([normal + lateral, normal - lateral, lateral - normal, -normal - lateral], axis=1)
     # At a tenth of a cell from an edge winding numbers show a rim; slits up to half as wide make none.
     around = middles[:, None] + 0.1 * cell / np.sqrt(2) * turns[edge]
     number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
@@ -92,8 +97,9 @@ def holes_of(mesh: Triangles, rim: Mask) -> tuple[Array, Array]:
     label = components(start, end, len(used))
     low = np.full((label.max() + 1, 3), np.inf)
     high = -low
-    np.minimum.at(low, label, mesh.vertices[used])
-    np.maximum.at(high, label, mesh.vertices[used])
+    points = mesh.vertices[used]
+    np.minimum.at(low, label, points)
+    np.maximum.at(high, label, points)
     return (low + high) / 2, np.linalg.norm(high - low, axis=1)
 
 
@@ -129,9 +135,10 @@ def linked(index: Indices, shape: tuple[int, ...], distance: Array, free: Mask, 
     place.reshape(-1)[index] = np.arange(len(index))
     pairs = []
     for axis, n in enumerate(shape):
-        i, j = (place.take(steps, axis).reshape(-1) for steps in (range(n - 1), range(1, n)))
-        i, j = np.stack([i, j])[:, (i >= 0) & (j >= 0)]
-        pairs.append(np.stack([i, j])[:, free[i] & free[j] & (distance[i] + distance[j] > limit)])
+        pair = np.stack([place.take(range(n - 1), axis).ravel(), place.take(range(1, n), axis).ravel()])
+        pair = pair[:, (pair >= 0).all(axis=0)]
+        apart = distance[pair].sum(axis=0) > limit
+        pairs.append(pair[:, free[pair].all(axis=0) & apart])
     row, column = np.hstack(pairs)
     return components(row, column, len(index))
 
@@ -159,13 +166,14 @@ def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
     """
     faces = mesh.faces
     normal = mesh.normals
-    (edges, of_face, _), corners = mesh.edges, mesh.corners
+    corners = mesh.corners
+    edges, of_face, _ = mesh.edges
     at_edge = np.zeros((len(edges), 3))
     at_vertex = np.zeros((len(mesh.vertices), 3))
     for k in range(3):
         np.add.at(at_edge, of_face[:, k], normal)
-        u = corners[:, (k + 1) % 3] - corners[:, k]
-        v = corners[:, (k + 2) % 3] - corners[:, k]
+        u = corners[:, k - 2] - corners[:, k]
+        v = corners[:, k - 1] - corners[:, k]
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
         np.add.at(at_vertex, faces[:, k], angle[:, None] * normal)
     at_edge[rim] = 0.0

@@ -1,13 +1,12 @@
 """Repair of a mesh: merges vertices, makes triangles agree and turns them outwards, with a remark on each repair."""
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
+from handsight.objects.pieces import agreeing, components
 from handsight.objects.surface import Triangles, check_extent, distinct
 
 
@@ -31,8 +30,9 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
         near = cKDTree(points[used]).query_pairs(1e-4 * extent, output_type="ndarray")
         if len(near):
             label = components(near[:, 0], near[:, 1], len(used))
+            _, first = np.unique(label, return_index=True)
             which = np.arange(len(points))
-            which[used] = used[np.unique(label, return_index=True)[1][label]]
+            which[used] = used[first[label]]
             triangles = which[triangles]
             # A triangle between two such corners has become a line.
             triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
@@ -97,8 +97,9 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
     # A patch has a winding number of -0.5 in front of it, a turned solid of -1.
     inverted = np.zeros(count, dtype=bool)
-    for k in np.unique(piece[face]):
-        inverted[k] = np.median(front[piece[face] == k]) < -0.55
+    of_sample = piece[face]
+    for k in np.unique(of_sample):
+        inverted[k] = np.median(front[of_sample == k]) < -0.55
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
@@ -118,27 +119,3 @@ def _turned_over(faces: Indices, flip: Mask) -> Indices:
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
     """Returns random surface points (n, 3) [m], with the normals (n, 3) and indices (n,) of their triangles."""
     return mesh.draw_on_faces(400, np.random.default_rng(3))
-
-
-def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
-    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all can agree.
-
-    Items i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. Each item is two nodes of a graph:
-    the item as it is, and turned over. Items that agree are linked node to like node, others crosswise, so that the
-    nodes connected to an item "as it is" show which other items must be turned.
-    """
-    row = np.concatenate([i, i + size])
-    column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
-    label = components(row, column, 2 * size)
-    as_is = label[:size]
-    turned = label[size:]
-    # The two components of a piece have two labels; of these the one with more nodes "as it is" wins.
-    votes = np.bincount(as_is, minlength=label.max() + 1)
-    flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))
-    return flip, bool((as_is != turned).all())
-
-
-def components(row: Indices, column: Indices, size: int) -> Indices:
-    """Returns (size,) the connected component of each node of a graph with links from `row` (l,) to `column` (l,)."""
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(size, size))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -6,7 +6,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from handsight.checks import Array, Indices
-from handsight.objects.meshes.repair import agreeing, components
+from handsight.objects.pieces import agreeing, components
 
 PLANE_NEIGHBOURS = 12  # nearest points to which a plane is fitted, and whose normals are made to agree
 SIGN_NEIGHBOURS = 7  # nearest points whose normals are compared, itself among them
