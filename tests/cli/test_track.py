@@ -109,7 +109,7 @@ def test_track_takes_the_rig_and_the_object_of_its_options(by_command, asked):
     folder, _ = by_command
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
-    arguments = ("--rig", "r.yaml", "--object", "can", "--output-folder", "out", "--rate", "20")
+    arguments = ("--rig", "r.yaml", "--object", "can", "--output-folder", "out", "--no-images")
     asked("track", folder / "can.mcap", *arguments, cwd=folder / "elsewhere")
     assert_results_agree(folder / "elsewhere" / "out")
 
@@ -125,7 +125,7 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
     write_rig(rig, tmp_path / "can.rig.yaml")
     terminal, its_end = pty.openpty()
     process = subprocess.Popen(
-        [*INTERRUPTIBLE, "track", "can.mcap", "--object", "can", "--rate", "20", "--output-folder", "out"],
+        [*INTERRUPTIBLE, "track", "can.mcap", "--object", "can", "--output-folder", "out"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=its_end,

@@ -4,18 +4,18 @@ import contextlib
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
-from handsight.cli.terminal import kept_going, millimetres, plain_table, print_out, say
+from handsight.cli.terminal import FAILED, kept_going, millimetres, plain_table, print_out, say
 from handsight.cli.track import refusals
-from handsight.errors import HandsightError, InvalidFile, InvalidInput, printable
-from handsight.files import write_errors
+from handsight.errors import HandsightError, InvalidFile, InvalidInput, InvalidObject, printable
+from handsight.files import text_file
 
 if TYPE_CHECKING:
     from handsight.checks import Array
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from handsight.messages.survey import Survey
     from handsight.objects import ObjectModel
     from handsight.rig import Finger, Rig
+    from handsight.tracking import Tracker
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
@@ -89,25 +90,26 @@ def new(
     if (hand is None) == (like is None):
         came = "neither" if like is None else "both"
         raise InvalidInput(f"expected the hand's file, or --like and the name of an example, got {came}")
-    if hand is not None:
-        recording, hand = _described(hand, recording)
-        text = _guessed(hand, recording, palm, taxels)
-        name = hand.stem
-    else:
-        examples = {path.name.removesuffix(".rig.yaml"): path for path in sorted(EXAMPLES.glob("*.rig.yaml"))}
-        if like not in examples:
-            raise InvalidInput(f"--like: expected one of {', '.join(examples)}, got {like!r:.60}")
-        text = examples[like].read_text(encoding="utf-8")
-        name = like
-    path = output or Path(f"{name}.rig.yaml")
-    with write_errors(path):
+    with contextlib.ExitStack() as undone:
+        if hand is not None:
+            recording, hand = _described(hand, recording, undone)
+            text = _guessed(hand, recording, palm, taxels)
+            name = hand.stem
+        else:
+            examples = {path.name.removesuffix(".rig.yaml"): path for path in EXAMPLES.glob("*.rig.yaml")}
+            if like not in examples:
+                raise InvalidInput(f"--like: expected one of {', '.join(sorted(examples))}, got {like!r:.60}")
+            text = examples[like].read_text(encoding="utf-8")
+            name = like
+        path = output or Path(f"{name}.rig.yaml")
         _new_file(path, text)
+        undone.pop_all()
     say(f"wrote {path}; next: handsight rig check {path} {recording or ''}".rstrip())
 
 
-def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
+def _described(hand: Path, recording: Path | None, undone: contextlib.ExitStack) -> tuple[Path | None, Path]:
     """Returns a recording and the hand's file; of a recording alone, the robot's description in it, which is written
-    beside the rig. Raises InvalidFile where it has none."""
+    beside the rig, and taken away when `undone` ends. Raises InvalidFile where it has none."""
     from handsight.messages.decode import deserialized
     from handsight.recording.frames import is_recording
     from handsight.recording.open import open_files
@@ -118,9 +120,8 @@ def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
         with contextlib.closing(source):
             for message in source.messages({DESCRIPTION}):
                 file = Path(f"{hand.stem}.urdf")
-                text = str(deserialized(message).data)
-                with write_errors(file):
-                    _new_file(file, text)
+                _new_file(file, str(deserialized(message).data))
+                undone.callback(file.unlink)
                 say(f"wrote {file}: what is said on {DESCRIPTION}")
                 return hand, file
     raise InvalidFile(
@@ -129,13 +130,12 @@ def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
 
 
 def _new_file(path: Path, text: str) -> None:
-    """Writes a text to a file that is new; raises InvalidFile where there is one."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
+    """Writes a text to a file that is new; raises InvalidFile where there is one, NotWritten."""
+    if path.exists():
         expected = "expected a new file, got one that exists"
-        raise InvalidFile(f"{path}: {expected}; --output names another") from None
+        raise InvalidFile(f"{path}: {expected}; --output names another")
+    with text_file(path) as file:
+        file.write(text)
 
 
 def _guessed(file: Path, recording: Path | None, palm: str | None, taxels: str | None) -> str:
@@ -325,7 +325,8 @@ def check(
     ```
 
     The exit code is 1 if the recording lacks something that tracking needs, a sensor's readings cannot be used, a
-    mistake explains what does not fit, a finger was loaded but never touched, or no finger ever touched anything.
+    mistake explains what does not fit, a finger was loaded but never touched, or no finger ever touched anything: each
+    is a line that begins with a dash. Lines that begin with `note:` do not change it.
     """
     from handsight.rig import Rig
     from handsight.rig.layouts import misplaced
@@ -339,29 +340,43 @@ def check(
         if cosine < INTO_FINGER:
             why = "the tip points into its finger: its +z must leave it (turn it by 180°)"
             wrong.append(f"fingers.{name}.surface: {why}")
-    _list(wrong)
     if recording is None:
-        raise typer.Exit(int(bool(wrong)))
+        _end(wrong)
+        return
     model = None
-    why = ""
+    notes = list[str]()
     try:
         model = Run.of(recording, rig, object).model
+    except InvalidObject as error:
+        wrong.append(str(error))
     except InvalidInput as error:
-        why = str(error)
-    if _compare(found, recording, model) or wrong:
-        raise typer.Exit(1)
+        notes.append(f"the contacts were not compared with an object: {error}")
+    compared = _compare(found, recording, model)
+    _end(wrong + compared.wrong, compared.notes + notes)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
-    if why:
-        typer.echo(printable(f"The contacts were not compared with an object: {why}"))
 
 
-def _list(sentences: "Iterable[str]") -> None:
-    for sentence in sentences:
+def _end(wrong: "Sequence[str]", notes: "Sequence[str]" = ()) -> None:
+    """Prints what must be changed, and notes, which need not be; ends the command where there is something wrong."""
+    for sentence in wrong:
         typer.echo(printable(f"- {sentence}"))
+    for sentence in notes:
+        typer.echo(printable(f"note: {sentence}"))
+    if wrong:
+        raise typer.Exit(FAILED)
 
 
-def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
-    """Prints what a recording lacks for a rig, and which mistakes explain what is wrong; returns whether any is."""
+class Compared(NamedTuple):
+    """What a recording tells of a rig."""
+
+    wrong: list[str]
+    """What must be changed, in sentences."""
+    notes: list[str]
+    """What a user may want to know."""
+
+
+def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> Compared:
+    """Returns what a recording lacks for a rig, which mistakes explain what is wrong, and what is only noted."""
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
     from handsight.tracking.fingertips import FingertipSensors
@@ -391,8 +406,7 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
                 excerpt.put(observation, touched=bool(touch.fingers))
         lacking = [*opened.lacks(), *sensors.sentences(), *opened.report.sentences()]
     if not placed:  # what follows from that is not said
-        _list(lacking)
-        return True
+        return Compared(lacking, [])
     pressed = {rig.skin[name].frame for name in sensors.touched}
     touched |= {finger for finger, of in rig.fingers.items() if of.frame in pressed}
     untouched = list[str]()
@@ -409,8 +423,10 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
         lacking.append(NO_SENSOR)
     elif not (touched or lacking or untouched):
         lacking.append("no finger ever touched anything")
-    _list([*lacking, *sensors.remarks(), *untouched, *mistakes, *filter(None, [unexplained])])
-    return bool(lacking or mistakes or not touched)
+    notes = [*sensors.remarks(), *filter(None, [unexplained])]
+    if touched:
+        return Compared([*lacking, *mistakes], [*notes, *untouched])
+    return Compared([*lacking, *untouched, *mistakes], notes)
 
 
 @calibrate_app.command("camera")
@@ -426,18 +442,15 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     handsight calibrate camera turned.mcap --rig robot.yaml
     ```
     """
-    from handsight.recording import open_recording
     from handsight.rig.save import pose_text
-    from handsight.tracking import Tracker
     from handsight.tracking.camera_calibration import LITTLE_TURN, HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     run = Run.of(recording, rig, object)
-    tracker = Tracker(run.rig, run.model)
     tally = Tally()
-    views = HandViews(run.rig)
     touched = None
-    with open_recording(recording, run.rig) as opened, kept_going() as end:
+    with run.opened() as (opened, tracker), kept_going() as end:
+        views = HandViews(tracker.rig)
         for touched in calibrations(views.watched(opened.observations()), tracker, tally):  # noqa: B007 - the last one
             pass
     seen = views.calibration()
@@ -464,7 +477,18 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     if end.exit_code:
         raise typer.Exit(end.exit_code)
     if found is None:
-        raise InvalidInput(f"{recording}: expected an object that is held and visible, got none")
+        raise InvalidInput(f"{recording}: {_why_no_camera(tracker)}")
+
+
+def _why_no_camera(tracker: "Tracker") -> str:
+    """Returns why the camera of a recording could not be calibrated."""
+    camera = tracker.rig.camera
+    topics = tracker.rig.topics
+    if camera is not None and camera.intrinsics is None and topics.vision is None:
+        info = "no CameraInfo" if topics.camera_info is None else f"no CameraInfo on {topics.camera_info}"
+        return f"expected the camera's intrinsics in the rig or the recording, got {info}"
+    held = "expected an object that is held and visible, got none"
+    return f"{held}: {tracker.reason}" if tracker.reason else held
 
 
 @calibrate_app.command("sensors")

@@ -14,7 +14,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, needing
-from handsight.files import write_errors
+from handsight.files import binary_file
 from handsight.objects import ObjectModel
 from handsight.viewer.shapes import creases, middle, open_direction
 
@@ -63,9 +63,9 @@ def save(figure: "Figure", path: Path) -> None:
     handles = list(labelled.values())
     labels = list(labelled)
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 7))
-    with write_errors(path):
+    with binary_file(path) as file:
         try:
-            figure.savefig(path, dpi=130)
+            figure.savefig(file, dpi=130, format=path.suffix[1:] or None)
         except ValueError as error:
             raise HandsightError(f"{path}: {error}") from None
 
