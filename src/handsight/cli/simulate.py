@@ -97,7 +97,7 @@ def simulate(
     The hand is the Shadow hand, or any URDF or MJCF hand of a --rig: its grasps are searched as well, nothing is known
     of it but its file and its fingertips. Joints have position servos of 3 N m/rad. Coupled ones follow those that they
     are coupled to, each off by a constant angle of the size that the rig states (`coupled_joint_deg`), and are not
-    measured, but with `--joints all`. Camera, table and world are the simulation's. Where no grasp holds, the reasons
+    measured. Camera, table and world are the simulation's. Where no grasp holds, the reasons
     are printed, and the exit code is 1.
 
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
