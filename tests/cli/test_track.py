@@ -106,6 +106,7 @@ def test_depth_images_or_another_grasp_may_confirm_the_size(grasps, seen, sigma,
     assert bool(doubt) == bool(said)
 
 
+@pytest.mark.filterwarnings("ignore:big.stl")  # which says the same of the unit
 @pytest.mark.parametrize("command", [("track",), ("calibrate", "camera"), ("rig", "check", "big.yaml")])
 def test_an_object_that_no_hand_holds_is_refused(by_command, monkeypatch, capsys, command):
     """A mesh in millimetres, as if they were metres."""
