@@ -37,7 +37,7 @@ def private_folder(base: Path, name: str = "") -> Path:
 
     The temporary folder is the user's own, and using it issues a CacheWarning, once.
     """
-    reason = _why_unusable(base / name)
+    reason = why_unusable(base / name)
     if reason is None:
         return base / name
     folder = _temporary_folder() / name
@@ -68,7 +68,7 @@ def checksum(name: str, content: bytes | memoryview) -> bytes:
     return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
 
 
-def _why_unusable(folder: Path) -> str | None:
+def why_unusable(folder: Path) -> str | None:
     """Returns why a folder cannot be created, or why another user could put files there; None: it can be used.
 
     Only the folder itself is checked, or the nearest existing parent. Users who can write further up could replace the
@@ -118,6 +118,6 @@ def _temporary_folder() -> Path:
     with contextlib.suppress(OSError):  # no temporary folder can be written to
         folder = Path(tempfile.gettempdir(), f"handsight-{os.getuid() if hasattr(os, 'getuid') else 'cache'}")
         folder.mkdir(mode=0o700, exist_ok=True)
-        if _why_unusable(folder) is None and os.access(folder, os.W_OK | os.X_OK):
+        if why_unusable(folder) is None and os.access(folder, os.W_OK | os.X_OK):
             return folder
     return Path(os.devnull, "handsight")

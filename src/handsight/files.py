@@ -71,34 +71,71 @@ def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
-    """Yields a new file that is renamed to `path` once it is complete; after an error, `path` is unchanged.
+    """Yields a new file that replaces `path` once it is complete; after an error or Ctrl-C, `path` is unchanged.
 
-    `mode`: the permissions before the umask. Several processes may write the same path. Raises OSError.
+    A link stays a link, to the new content. `mode`: the permissions before the umask. Several processes may write the
+    same path. Raises OSError.
     """
-    temporary = path.with_name(f".{path.name}-{secrets.token_hex(8)}.part")
+    final = Path(os.path.realpath(path))
+    temporary = final.with_name(f".{final.name}-{secrets.token_hex(8)}.part")
     try:
         with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             yield file
         # Without it, a machine that loses power may keep the name and lose the content.
         with open(temporary, "rb+") as complete:
             os.fsync(complete.fileno())
-        os.replace(temporary, path)
+        os.replace(temporary, final)
     finally:  # it still exists only after an error
         with contextlib.suppress(OSError):
             os.unlink(temporary)
 
 
 @contextlib.contextmanager
+def binary_file(destination: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Yields an `atomic_file`; a pipe or a device, which nothing replaces, is written at once. Raises NotWritten."""
+    path = Path(destination)
+    with write_errors(destination), atomic_file(path) if _replaceable(path) else path.open("wb") as file:
+        yield file
+
+
+@contextlib.contextmanager
 def text_file(destination: str | os.PathLike[str]) -> Iterator[TextIO]:
-    """Yields a text file, which gets its name once it is complete; a pipe is written at once. Raises NotWritten."""
-    path = Path(os.path.realpath(destination))
+    """Yields the same as `binary_file`, for text in UTF-8; raises NotWritten."""
+    with (
+        binary_file(destination) as binary,
+        io.TextIOWrapper(binary, encoding="utf-8", newline="") as file,
+    ):
+        yield file
+
+
+@contextlib.contextmanager
+def growing_file(destination: Path) -> Iterator[TextIO]:
+    """Yields a text file for what is answered bit by bit; raises NotWritten.
+
+    It is `part_of(destination)` until it is complete. After an error or Ctrl-C it stays there, unless it is empty; its
+    last line may be cut where it could not be written. `destination` is unchanged then.
+    """
+    growing = part_of(destination)
+    final = Path(os.path.realpath(destination))
     with write_errors(destination):
-        replaceable = path.is_file() or not path.exists()  # a pipe is not
-        with (
-            atomic_file(path) if replaceable else path.open("wb") as binary,
-            io.TextIOWrapper(binary, encoding="utf-8", newline="") as file,
-        ):
-            yield file
+        try:
+            with growing.open("w", encoding="utf-8") as file:
+                yield file
+            if growing != final:
+                growing.replace(final)
+        finally:
+            if growing != final and growing.exists() and not growing.stat().st_size:
+                growing.unlink()
+
+
+def part_of(path: Path) -> Path:
+    """Returns the name of a file while it grows: PATH.part; a pipe or a device has no other name."""
+    real = Path(os.path.realpath(path))
+    return real.with_name(f"{real.name}.part") if _replaceable(real) else real
+
+
+def _replaceable(path: Path) -> bool:
+    return path.is_file() or not path.exists()
 
 
 def stream_name(stream: object) -> str:

@@ -79,23 +79,26 @@ def several(path, n, **more):
     return path
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_ctrl_c_keeps_what_was_answered_and_leaves_nobody_behind(tmp_path, workers):
+@pytest.mark.parametrize(("workers", "sent"), [(1, signal.SIGINT), (2, signal.SIGINT), (1, signal.SIGTERM)])
+def test_ctrl_c_keeps_what_was_answered_beside_an_earlier_file_and_leaves_nobody_behind(
+    tmp_path, workers, sent
+):
     import psutil
 
     problems, output = several(tmp_path / "p.jsonl", 100_000), tmp_path / "a.jsonl"
+    output.write_text("as it was")
     command = begun(["correct", problems, "--output", output, "--workers", workers])
     part = output.with_name("a.jsonl.part")
     waited_for(lambda: part.exists() and part.stat().st_size > 10_000)
     children = psutil.Process(command.pid).children(recursive=True)
     assert len(workers_of(command)) == (0 if workers == 1 else workers)
-    command.send_signal(signal.SIGINT)
+    command.send_signal(sent)
     _, said = command.communicate(timeout=60)
     assert command.returncode == 130
     assert b"Traceback" not in said
-    assert not part.exists()
-    answers = output.read_text().splitlines()
-    stopped = int(re.search(rb"stopped after (\d+) answers; they are written", said)[1])
+    assert output.read_text() == "as it was"
+    answers = part.read_text().splitlines()
+    stopped = int(re.search(rb"stopped after (\d+) answers; they are in \S+a.jsonl.part", said)[1])
     assert 0 < stopped <= len(answers) < 100_000
     assert all(list(json.loads(answer)) == KEYS for answer in answers)
     assert not psutil.wait_procs(children, timeout=30)[1]

@@ -44,6 +44,9 @@ def answers(out):
     return [json.loads(line) for line in out.splitlines()]
 
 
+JSON = ("-o", "-")
+
+
 @pytest.fixture(scope="module")
 def pictures():
     return [picture(0), picture(1), picture(2, empty=True)]
@@ -61,7 +64,7 @@ def scene(pictures, tmp_path):
 
 
 def test_an_object_is_found_in_a_folder_of_pictures_and_not_where_it_is_not(frames, pictures, asked):
-    out, _ = asked("locate", frames, "--object", "letter.ply", "--plot", "found.png")
+    out, _ = asked("locate", frames, "--object", "letter.ply", "--plot", "found.png", *JSON)
     first, second, third = answers(out)
     for answer, name, (_, truth) in zip((first, second), ("0000.png", "0001.png"), pictures, strict=False):
         assert (answer["frame"], answer["object"], answer["found"]) == (name, "letter", True)
@@ -113,7 +116,7 @@ def test_a_bop_scene_is_answered_in_bops_csv(scene, pictures, asked):
             assert off_mm(T, truth) < NEAR_MM
             assert 0 < float(row["score"]) <= 1
             assert float(row["time"]) > 0
-    out, _ = asked("locate", scene, "--object", "obj_000003")
+    out, _ = asked("locate", scene, "--object", "obj_000003", *JSON)
     assert [(each["scene_id"], each["im_id"], each["found"]) for each in answers(out)] == [
         (48, 0, True),
         (48, 1, True),
@@ -132,7 +135,7 @@ SHOWN = ["obj_000003", "obj_000007", None]
 
 
 def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, asked):
-    out, _ = asked("locate", two_known, "--which", "--plot", "which.png")
+    out, _ = asked("locate", two_known, "--which", "--plot", "which.png", *JSON)
     rows = answers(out)
     for row, name in zip(rows, SHOWN, strict=True):
         assert (row["object"], row["found"]) == (name, name is not None)
@@ -151,7 +154,7 @@ def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, aske
         "reason",
         "seconds",
     }
-    out, _ = asked("locate", two_known, "--object", "7", "--object", "3", "--which")
+    out, _ = asked("locate", two_known, "--object", "7", "--object", "3", "--which", *JSON)
     assert [row["scores"] for row in answers(out)] == [row["scores"] for row in rows]
     asked("locate", two_known, "--which", "-o", "which.csv")
     with open(two_known.parents[2] / "which.csv", newline="") as file:
@@ -161,13 +164,13 @@ def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, aske
 def test_without_an_object_all_of_the_library_are_asked_for(frames, two_known, asked, monkeypatch):
     library = two_known.parents[1]
     picture = ("frames/depth/0000.png", "--camera", "frames/camera.json", "--which")
-    out, _ = asked("locate", *picture, "--library", library)
+    out, _ = asked("locate", *picture, "--library", library, *JSON)
     (answer,) = answers(out)
     assert answer["object"] == "obj_000003"
     monkeypatch.setenv("HANDSIGHT_LIBRARY", str(library))
-    (again,) = answers(asked("locate", *picture)[0])
+    (again,) = answers(asked("locate", *picture, *JSON)[0])
     assert again["scores"] == answer["scores"]
-    (mixed,) = answers(asked("locate", *picture, "--object", "7", "--object", "letter.ply")[0])
+    (mixed,) = answers(asked("locate", *picture, "--object", "7", "--object", "letter.ply", *JSON)[0])
     assert (mixed["object"], set(mixed["scores"])) == ("letter", {"obj_000007", "letter"})
     (library / "models/models_info.json").write_text("{}")
     _, err = asked("locate", *picture, expect=2)
@@ -183,13 +186,19 @@ def test_what_kind_of_camera_it_is_matters_to_the_covariance(frames, asked):
     for kind in ("structured_light", "time_of_flight"):
         told = ("--object", "letter.ply", "--depth-camera", kind)
         (answer,) = answers(
-            asked("locate", "frames/depth/0000.png", "--camera", "frames/camera.json", *told)[0]
+            asked("locate", "frames/depth/0000.png", "--camera", "frames/camera.json", *told, *JSON)[0]
         )
         spread[kind] = np.trace(np.array(answer["covariance"])[:3, :3])
     (untold,) = answers(
-        asked("locate", "frames/depth/0000.png", "--camera", "frames/camera.json", "--object", "letter.ply")[
-            0
-        ]
+        asked(
+            "locate",
+            "frames/depth/0000.png",
+            "--camera",
+            "frames/camera.json",
+            "--object",
+            "letter.ply",
+            *JSON,
+        )[0]
     )
     assert np.trace(np.array(untold["covariance"])[:3, :3]) == spread["structured_light"]
     assert spread["time_of_flight"] > 2 * spread["structured_light"]
@@ -210,7 +219,7 @@ def test_an_object_is_searched_for_only_in_a_box_or_a_mask(frames, pictures, ask
         for option in (("--box", ",".join(map(str, box))), ("--mask", frames / name)):
             depth = frames / "depth/0000.png"
             camera = ("--camera", frames / "camera.json", "--object", "letter.ply")
-            (answer,) = answers(asked("locate", depth, *camera, *option)[0])
+            (answer,) = answers(asked("locate", depth, *camera, *option, *JSON)[0])
             found.append(answer["found"] and off_mm(pose_of(answer), truth) < NEAR_MM)
         assert found == [name == "around"] * 2
 
@@ -229,7 +238,7 @@ def test_detections_and_poses_of_others_are_searched(scene, pictures, asked, tmp
         for image, box, score in ((0, far, 0.9), (0, box_of(first), 0.4), (1, far, 0.5))
     ]
     (tmp_path / "found.json").write_text(json.dumps(entries))
-    rows = answers(asked("locate", scene, "--object", "3", "--detections", "found.json")[0])
+    rows = answers(asked("locate", scene, "--object", "3", "--detections", "found.json", *JSON)[0])
     assert [row["found"] for row in rows] == [True, False, False]
     assert off_mm(pose_of(rows[0]), first) < NEAR_MM
     assert rows[2]["reason"].startswith("obj_000003 was not detected in the image")
@@ -242,12 +251,12 @@ def test_detections_and_poses_of_others_are_searched(scene, pictures, asked, tmp
         for score, T in ((0.5, second), (0.9, beside))
     ]
     (tmp_path / "poses.csv").write_text("\n".join(["scene_id,im_id,obj_id,score,R,t,time", *lines]))
-    rows = answers(asked("locate", scene, "--object", "3", "--start", "poses.csv")[0])
+    rows = answers(asked("locate", scene, "--object", "3", "--start", "poses.csv", *JSON)[0])
     assert off_mm(pose_of(rows[1]), second) < NEAR_MM
 
     targets = [{"scene_id": 48, "im_id": 1, "obj_id": 3, "inst_count": 1}]
     (tmp_path / "targets.json").write_text(json.dumps(targets))
-    (row,) = answers(asked("locate", scene, "--object", "3", "--targets", "targets.json")[0])
+    (row,) = answers(asked("locate", scene, "--object", "3", "--targets", "targets.json", *JSON)[0])
     assert (row["im_id"], row["found"]) == (1, True)
 
 
@@ -257,10 +266,10 @@ def test_several_objects_are_named_by_their_detections(two_known, pictures, aske
         for image, number in ((0, 3), (1, 3), (1, 7))
     ]
     (tmp_path / "found.json").write_text(json.dumps(entries))
-    rows = answers(asked("locate", two_known, "--detections", "found.json", "--which")[0])
+    rows = answers(asked("locate", two_known, "--detections", "found.json", "--which", *JSON)[0])
     assert [row["object"] for row in rows] == SHOWN
     assert rows[0]["scores"]["obj_000007"] == 0
-    rows = answers(asked("locate", two_known, "--detections", "found.json")[0])
+    rows = answers(asked("locate", two_known, "--detections", "found.json", *JSON)[0])
     assert [[each["object"] for each in row["objects"]] for row in rows] == [[SHOWN[0]], [SHOWN[1]], []]
     assert set(rows[2]["missing"]) == {*SHOWN[:2]}
 
@@ -278,14 +287,14 @@ def test_masks_of_instances_are_those_of_their_objects(scene, pictures, asked, t
         json.dumps({"0": [{"obj_id": 7}, {"obj_id": 3}], "1": [{"obj_id": 3}]})
     )
     for place in ("mask_visib", scene / "mask_visib"):
-        rows = answers(asked("locate", scene, "--object", "3", "--mask", place)[0])
+        rows = answers(asked("locate", scene, "--object", "3", "--mask", place, *JSON)[0])
         assert [row["found"] for row in rows] == [True, False, False]
         assert off_mm(pose_of(rows[0]), pictures[0][1]) < NEAR_MM
 
 
 def test_a_picture_that_cannot_be_read_is_said_in_its_place(frames, scene, asked):
     (frames / "depth/0001.png").write_bytes(b"no picture")
-    out, said = asked("locate", frames, "--object", "letter.ply", expect=1)
+    out, said = asked("locate", frames, "--object", "letter.ply", *JSON, expect=1)
     first, second, third = answers(out)
     assert first["found"]
     assert not third["found"]
@@ -412,35 +421,57 @@ def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
     assert err.startswith("handsight: away/b.jsonl: cannot be written: No such file or directory")
 
 
-def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
+@pytest.mark.parametrize("interrupted_at", [0, 1])
+def test_after_ctrl_c_an_earlier_file_stands_and_what_was_found_is_beside_it(
+    frames, monkeypatch, interrupted_at
+):
     calls, locate = iter(range(9)), locating.locate
 
     def interrupted(*args, **options):
-        if next(calls) == 1:
+        if next(calls) == interrupted_at:
             raise KeyboardInterrupt
         return locate(*args, **options)
 
     monkeypatch.setattr(locating, "locate", interrupted)
     folder = frames.parent
+    (folder / "a.jsonl").write_text("as it was")
     assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
-    assert len(answers((folder / "a.jsonl").read_text())) == 1
-    err = capsys.readouterr().err
-    assert "wrote a.jsonl: found in 1 of 1 images" in err
-    assert "handsight: stopped after 1 images; what was found is kept" in err
+    assert (folder / "a.jsonl").read_text() == "as it was"
+    part = folder / "a.jsonl.part"
+    assert part.exists() == bool(interrupted_at)
+    if part.exists():
+        assert len(answers(part.read_text())) == 1
 
 
-def test_a_person_at_a_terminal_gets_a_table(frames, monkeypatch, capsys):
-    import sys
+POSE = re.compile(
+    r"(?P<frame>\S+): (?P<object>\S+) at \[(?P<position>[^]]+)\] mm ± [\d.]+, turned \[(?P<turn>[^]]+)\] \(xyzw\) "
+    r"± [\d.]+°, probability (?P<probability>[\d.]+)(; or .+)?"
+)
 
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    assert called(monkeypatch, frames.parent, "locate", "frames", "--object", "letter.ply", columns=110) == 0
-    out, said = capsys.readouterr()
+
+def assert_said_shortly(line, frame, answer):
+    """A line has an answer's pose and probability."""
+    said = POSE.fullmatch(line)
+    assert said, line
+    assert (said["frame"], said["object"]) == (frame, answer["object"])
+    position = [float(x) for x in said["position"].split(", ")]
+    np.testing.assert_allclose(position, 1e3 * np.array(answer["position"]), atol=0.051)
+    np.testing.assert_allclose(
+        [float(x) for x in said["turn"].split(", ")], answer["quaternion_xyzw"], atol=6e-4
+    )
+    assert float(said["probability"]) == pytest.approx(answer["probability"], abs=0.006)
+
+
+def test_without_a_file_an_image_is_a_short_line(frames, asked):
+    (frames / "depth/0001.png").write_bytes(b"no picture")
+    given = ("locate", "frames", "--object", "letter.ply")
+    out, said = asked(*given, expect=1)
+    first, second, third = out.splitlines()
     assert "took depth/ for depth" in said
-    assert re.search(r"0002.png: not here: .* \(median depth 0\.\d\d m\)\n", said)
-    assert "letter in depth images" in out
-    assert "not here" in out
-    assert "0001.png" in out
-    assert "{" not in out
+    assert_said_shortly(first, "0000.png", answers(asked(*given, *JSON, expect=1)[0])[0])
+    assert second.endswith("0001.png: cannot be read")
+    assert third.startswith("0002.png: not here: ")
+    assert all(len(line) < 160 for line in out.splitlines())
 
 
 TWO_BRICKS = ("--object", "7*2", "--object", "3")
@@ -456,7 +487,7 @@ def crowd(tmp_path):
 def test_each_object_that_is_there_is_answered_once(crowd, asked):
     """Two equal bricks are two answers, at two places, in JSON and in BOP's lines."""
     scene, truths = crowd
-    first, second = answers(asked("locate", scene, *TWO_BRICKS, "--plot", "all.png")[0])
+    first, second = answers(asked("locate", scene, *TWO_BRICKS, "--plot", "all.png", *JSON)[0])
     assert sorted(each["object"] for each in first["objects"]) == SHOWN[:1] + 2 * SHOWN[1:2]
     assert first["found"]
     assert first["missing"] == {}
@@ -486,7 +517,7 @@ def test_there_are_as_many_as_are_declared_at_most(crowd, asked, tmp_path):
     scene, _ = crowd
 
     def found(*options):
-        row, *_ = answers(asked("locate", scene, *options)[0])
+        row, *_ = answers(asked("locate", scene, *options, *JSON)[0])
         return sorted(each["object"] for each in row["objects"])
 
     assert found() == found("--object", "7*1", "--object", "3") == SHOWN[:2]
@@ -504,18 +535,14 @@ def test_there_are_as_many_as_are_declared_at_most(crowd, asked, tmp_path):
         )
 
 
-def test_the_table_has_a_row_for_each_object(crowd, monkeypatch, capsys):
-    import sys
-
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm")
+def test_a_short_line_for_each_object_that_is_there_and_for_each_that_is_not(crowd, asked):
     given = ("locate", crowd[0], *TWO_BRICKS)
-    assert called(monkeypatch, crowd[0].parents[2], *given, columns=140) == 0
-    out, said = capsys.readouterr()
-    assert len(re.findall(r"obj_000007 .* [01]\.\d\d", out)) == 2
-    assert len(re.findall(r"obj_000003 .* [01]\.\d\d", out)) == 1
-    assert re.search(r"000001 .* none .* not here", out)
-    assert re.match(r".*000001: not here: ", said)
+    lines = asked(*given)[0].splitlines()
+    there, empty = answers(asked(*given, *JSON)[0])
+    for line, answer in zip(lines, there["objects"], strict=False):
+        assert_said_shortly(line, there["frame"], answer)
+    absent = [f"{empty['frame']}: {name} is not here: {why}" for name, why in empty["missing"].items()]
+    assert lines[len(there["objects"]) :] == absent
 
 
 @pytest.fixture(scope="module")
@@ -543,7 +570,7 @@ def test_an_object_in_the_hand_is_found_in_a_recording(held, asked, tmp_path):
         for sample in samples:
             writer.write(sample.observation)
     write_rig(rig, tmp_path / "box.rig.yaml")
-    out, _ = asked("locate", "box.mcap", "--object", "box", "--plot", "found.png")
+    out, _ = asked("locate", "box.mcap", "--object", "box", "--plot", "found.png", *JSON)
     rows = answers(out)
     assert len(rows) == sum(sample.observation.depth is not None for sample in samples)
     T_camera_object = T_camera_world @ samples[-1].T_world_object
@@ -585,7 +612,7 @@ def test_recorded_detections_say_where_an_object_is_in_a_recording(held, asked, 
                 writer.append("/boxes", RosType.DETECTIONS, stamp, header=header(stamp), detections=[one])
                 writer.write(sample.observation)
         write_rig(rig, tmp_path / "box.rig.yaml")
-        row = answers(asked("locate", "box.mcap", "--object", "box")[0])[-1]
+        row = answers(asked("locate", "box.mcap", "--object", "box", *JSON)[0])[-1]
         assert row["found"] == there
         if there:
             assert 1e3 * np.linalg.norm(pose_of(row)[:3, 3] - T[:3, 3]) < 10
@@ -619,7 +646,7 @@ def test_an_image_is_answered_before_what_it_does_not_need_is_loaded(frames, tmp
     appearance_of(hs.ObjectModel.from_file(mesh))  # into the cache
     program = (
         "import sys\n"
-        f"sys.argv = ['handsight', 'locate', {str(image)!r}, '--camera', {str(frames / 'camera.json')!r}, '--object', {str(mesh)!r}]\n"
+        f"sys.argv = ['handsight', 'locate', {str(image)!r}, '--camera', {str(frames / 'camera.json')!r}, '--object', {str(mesh)!r}, '-o', '-']\n"
         "from handsight.cli import main\n"
         "heavy = {'scipy.signal', 'scipy.stats', 'scipy.ndimage', 'scipy.spatial', 'trimesh', 'rich.console', 'handsight.tracking'}\n"
         "for more in ('matplotlib', 'matplotlib.pyplot'):\n"
@@ -640,7 +667,7 @@ def test_depth_of_another_unit_says_so_beside_its_probability(frames, asked):
         (0.01, "in tenths of millimetres? then --depth-scale 0.0001"),
         (0.0005, "if that is not the distance of the scene, set --depth-scale"),
     ):
-        out, _ = asked("locate", frames, "--object", "letter.ply", "--depth-scale", scale)
+        out, _ = asked("locate", frames, "--object", "letter.ply", "--depth-scale", scale, *JSON)
         answer = answers(out)[0]
         assert not answer["found"]
         assert re.search(rf"\(median depth \d+\.\d\d m; {re.escape(hint)}\)$", answer["reason"]), answer[
@@ -658,15 +685,15 @@ def test_the_unit_of_depth_in_the_cameras_file_is_used_and_said_unless_it_cannot
     write_mesh(tmp_path / "letter.ply")
     (tmp_path / "camera.json").write_text(json.dumps({**INTRINSICS, "depth_scale": 2.5e-4}))
     arguments = "locate", "shots/a.png", "--object", "letter.ply"
-    out, said = asked(*arguments)
+    out, said = asked(*arguments, *JSON)
     assert off_mm(pose_of(answers(out)[0]), truth) < NEAR_MM
     assert "depth_scale" in said
     assert str(tmp_path / "camera.json") in said or "camera.json for the camera" in said
     write_depth(tmp_path / "shots" / "mm.png", depth, 1e-3)
-    out, said = asked("locate", "shots/mm.png", "--object", "letter.ply")
+    out, said = asked("locate", "shots/mm.png", "--object", "letter.ply", *JSON)
     assert off_mm(pose_of(answers(out)[0]), truth) < NEAR_MM
     assert "does not fit" in said
     (tmp_path / "camera.json").write_text(json.dumps({**INTRINSICS, "depth_scale": 1000}))
-    out, said = asked(*arguments, "--depth-scale", "0.00025")
+    out, said = asked(*arguments, "--depth-scale", "0.00025", *JSON)
     assert off_mm(pose_of(answers(out)[0]), truth) < NEAR_MM
     assert "--depth-scale" in said

@@ -128,6 +128,24 @@ def test_the_demo_corrects_can_and_box_and_draws_them(asked, tmp_path):
     assert (tmp_path / "demo.png").stat().st_size > 20_000
 
 
+def test_without_a_terminal_the_demo_says_once_that_it_compiles(asked, monkeypatch):
+    from handsight._kernels.jit import on_compile
+    from handsight.cli import demo
+
+    def compiles():
+        for name in ("one", "", "two", ""):
+            for announce in on_compile:
+                announce(name)
+        return []
+
+    monkeypatch.setattr(demo, "examples", compiles)
+    monkeypatch.setattr(demo, "draw_corrections", lambda *_: "")
+    monkeypatch.setattr(demo, "find_can", lambda *_: [])
+    monkeypatch.setattr(demo, "replays", lambda *_: [])
+    _, said = asked("demo")
+    assert len([line for line in said.splitlines() if "compiling" in line]) == 1
+
+
 def test_the_demo_removes_most_of_the_error_that_touch_observes():
     from handsight.cli.demo import examples
 
@@ -237,7 +255,7 @@ def test_compiling_is_said_once_on_a_terminal_and_only_where_something_is_compil
     ],
 )
 def test_every_command_that_computes_announces_compiling(command, monkeypatch, tmp_path):
-    def announced():
+    def announced(**_):
         raise SystemExit("announced")
 
     for module in ("correct", "contact", "options", "demo", "locate", "simulate"):

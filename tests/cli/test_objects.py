@@ -14,7 +14,7 @@ from objects.object_shapes import box_mesh, divided, prism
 from testbed.refusals import refused
 
 ADDED = ("--mass", "0.25", "--center-of-mass", "-0.01", "0", "0.02", "--sigma-center-of-mass", "0.005")
-SAID = ("--licence", "CC BY 4.0", "--source", "a drawing \x1b[2J")
+SAID = ("--licence", "CC BY 4.0 \x1b[2J")
 
 
 @pytest.fixture
@@ -47,15 +47,14 @@ def test_what_was_added_is_listed_and_shown(library, asked):
     out, _ = asked("objects", "list")
     rows = out.splitlines()
     assert rows[0].split() == ["name", "symmetries", "licence", "number", "diameter", "[mm]", "mass", "[g]"]
-    assert rows[1].split() == ["block", "none", "CC", "BY", "4.0", "1", "176.9", "250"]
+    assert rows[1].split() == ["block", "none", "CC", "BY", "4.0", "\\x1b[2J", "1", "176.9", "250"]
     assert rows[2].split()[0] == "can"
     out, _ = asked("objects", "show", "block")
     shown = dict(line.split("  ", 1) for line in out.splitlines())
     shown = {key: value.strip() for key, value in shown.items()}
     assert shown["size"] == "60.0 x 90.0 x 140.0 mm"
     assert shown["centre of mass"] == "[-10.0, 0.0, 20.0] mm ± 5.0 mm per axis"
-    assert shown["licence"] == "CC BY 4.0"
-    assert shown["source"] == "a drawing \\x1b[2J"
+    assert shown["licence"] == "CC BY 4.0 \\x1b[2J"
     assert len(shown["SHA-256"]) == 64
     assert asked("objects", "show", "2", "--library", str(library))[0].startswith("name            can\n")
 
@@ -169,11 +168,10 @@ def test_warnings_that_are_errors_end_a_command_in_a_sentence(tmp_path, monkeypa
     assert "block" not in run("objects", "list", "--library", tmp_path / "lab")[0]
 
 
-def test_a_mesh_in_millimetres_is_added_only_by_force(tmp_path):
+def test_a_mesh_in_millimetres_is_not_added(tmp_path):
     mesh, there = block(tmp_path, (60, 90, 140)), ("--name", "a", "--library", tmp_path / "lab")
     _, said = run("objects", "add", mesh, *there, expect=2)
     assert "expected an object for a hand, got one of largest extent 140 m: looks like millimetres" in said
-    run("objects", "add", mesh, *there, "--force")
 
 
 def test_a_scale_is_measured_and_its_sigma_kept(tmp_path, monkeypatch, asked):

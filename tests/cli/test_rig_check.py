@@ -48,7 +48,11 @@ def check(tmp_path, monkeypatch, capsys):
                 writer.write(Observation(100 + 0.02 * k, joints, wrenches_now, vision, skin={"pad": each}))
         write(RIG.format(pad=pad, more=more))
         code = called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", "a.mcap", columns=200)
-        return code, capsys.readouterr().out.splitlines()
+        lines = capsys.readouterr().out.splitlines()
+        # What is wrong begins with a dash, and with nothing wrong no line does.
+        assert any(line.startswith("- ") for line in lines) == (code == 1)
+        assert ("a.mcap has everything that this rig listens to." in lines) == (code == 0)
+        return code, lines
 
     return run
 
@@ -64,14 +68,16 @@ def pressed(count=60, components=1):
 
 
 def faults(lines):
-    return [line for line in lines if line.startswith(("- skin", "- finger"))]
+    return [line for line in lines if line.startswith(("- skin", "- finger", "note: skin", "note: finger"))]
 
 
 def test_a_pad_that_reads_newtons_is_without_fault_and_its_finger_is_touched(check):
     code, lines = check(pressed())
     assert code == 0, lines
     assert "a.mcap has everything that this rig listens to." in lines
-    assert [line[:13] for line in faults(lines)] == ["- finger inde"]  # whose wrench is of nothing but noise
+    assert [line[:17] for line in faults(lines)] == [
+        "note: finger inde"
+    ]  # whose wrench is of nothing but noise
 
 
 @pytest.mark.parametrize(("value", "text"), [(0.0, "zero"), (7.0, "the same")])
@@ -148,9 +154,10 @@ def test_a_pad_that_nothing_touches_and_taxels_that_never_change_are_remarks(che
     code, lines = check(readings)
     assert code == 1, lines  # as no finger touched anything
     assert any(
-        line.startswith("- skin pad: never touched; a touched taxel rises by 0.1, and the") for line in lines
+        line.startswith("note: skin pad: never touched; a touched taxel rises by 0.1, and the")
+        for line in lines
     )
-    assert "- skin pad: taxel 3 of 20 never change: dead?" in lines
+    assert "note: skin pad: taxel 3 of 20 never change: dead?" in lines
     readings = pressed()
     readings[:, 0, 3] = np.nan
     code, lines = check(readings)
@@ -162,8 +169,8 @@ def test_a_taxel_without_a_number_is_left_out_and_the_others_count(check):
     readings[:, 3, 4] = np.nan
     code, lines = check(readings)
     assert code == 0, lines
-    assert [line for line in lines if line.startswith("- skin")] == [
-        "- skin pad: taxel 19 of 20 never have a number (NaN)"
+    assert [line for line in lines if "skin pad: taxel" in line] == [
+        "note: skin pad: taxel 19 of 20 never have a number (NaN)"
     ]
 
 

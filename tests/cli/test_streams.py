@@ -96,6 +96,13 @@ def test_a_file_that_cannot_grow_is_an_error_and_the_answers_until_then_have_ano
     assert sorted(path.name for path in folder.iterdir()) == ["a.jsonl.part", "p.jsonl", "w.csv"]
 
 
+def test_a_new_rig_that_cannot_be_written_leaves_nothing(folder):
+    before = sorted(folder.iterdir())
+    code, err = shell("handsight rig new --like allegro -o a.yaml", folder, blocks=1)
+    assert (code, err) == (74, "handsight: a.yaml: cannot be written: File too large\n")
+    assert sorted(folder.iterdir()) == before
+
+
 def test_a_picture_that_cannot_grow_is_an_error_in_a_sentence(folder):
     (folder / "one.json").write_text(json.dumps(BOX))
     code, err = shell("handsight correct one.json -o a.jsonl --plot a.png", folder, blocks=20)

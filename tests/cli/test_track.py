@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from cli.commands import INTERRUPTIBLE, called, read_some, run
 from cli.tracks import assert_results_agree, observations, recorded
@@ -105,11 +106,28 @@ def test_depth_images_or_another_grasp_may_confirm_the_size(grasps, seen, sigma,
     assert bool(doubt) == bool(said)
 
 
+@pytest.mark.filterwarnings("ignore:big.stl")  # which says the same of the unit
+@pytest.mark.parametrize("command", [("track",), ("calibrate", "camera"), ("rig", "check", "big.yaml")])
+def test_an_object_that_no_hand_holds_is_refused(by_command, monkeypatch, capsys, command):
+    """A mesh in millimetres, as if they were metres."""
+    folder, _ = by_command
+    text = (folder / "can.rig.yaml").read_text()
+    trimesh.creation.box((60, 90, 140)).export(folder / "big.stl")
+    known = text[: text.index("\nobjects:")]
+    (folder / "big.yaml").write_text(f'{known}\nobjects: {{"big": {{mesh: big.stl}}}}\n')
+    options = () if command[0] == "rig" else ("--rig", "big.yaml")
+    code = called(monkeypatch, folder, *command, "can.mcap", *options, columns=200)
+    assert code == (1 if command[0] == "rig" else 2)
+    said = "".join(capsys.readouterr())
+    assert "object 'big': expected an object of at most " in said
+    assert "poses of" not in said
+
+
 def test_track_takes_the_rig_and_the_object_of_its_options(by_command, asked):
     folder, _ = by_command
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
-    arguments = ("--rig", "r.yaml", "--object", "can", "--output-folder", "out", "--rate", "20")
+    arguments = ("--rig", "r.yaml", "--object", "can", "--output-folder", "out", "--no-images")
     asked("track", folder / "can.mcap", *arguments, cwd=folder / "elsewhere")
     assert_results_agree(folder / "elsewhere" / "out")
 
@@ -125,7 +143,7 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
     write_rig(rig, tmp_path / "can.rig.yaml")
     terminal, its_end = pty.openpty()
     process = subprocess.Popen(
-        [*INTERRUPTIBLE, "track", "can.mcap", "--object", "can", "--rate", "20", "--output-folder", "out"],
+        [*INTERRUPTIBLE, "track", "can.mcap", "--object", "can", "--output-folder", "out"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=its_end,

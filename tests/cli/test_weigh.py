@@ -8,6 +8,7 @@ import trimesh
 
 from cli.commands import called
 from cli.tracks import recorded
+from handsight.forces import ObjectWeight
 from handsight.objects import Facts, Library
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of
@@ -30,17 +31,16 @@ def lifted(simulated, tmp_path):
 def test_an_object_is_weighed_into_its_library(lifted, monkeypatch, capsys):
     folder, samples = lifted
     command = "objects", "weigh", "lifted.mcap", "--object", "tea", "--library", "things"
-    code = called(monkeypatch, folder, *command)
+    assert called(monkeypatch, folder, *command) == 0
     said = capsys.readouterr()
     facts = Library(folder / "things").entry("tea").facts
-    if code:  # where the box is in the hand was not known well enough: it is told, and nothing is written
-        assert "mm: not written" in said.err
-        assert facts.mass is None
-    else:
-        assert facts.mass == pytest.approx(0.15, rel=0.05)
+    assert facts.mass == pytest.approx(0.15, rel=0.05)
+    # The centre is written if it is known well enough, and the reason is said if it is not.
+    assert (facts.center_of_mass is None) == ("centre of mass is not written: " in said.err)
+    if facts.center_of_mass is not None:
         assert np.linalg.norm(facts.center_of_mass) < 4 * facts.sigma_center_of_mass
-        assert facts.licence == "mine"
-        assert list(Library(folder / "things").wrong(Library(folder / "things").entries())) == []
+    assert facts.licence == "mine"
+    assert list(Library(folder / "things").wrong(Library(folder / "things").entries())) == []
     assert "tea: 14" in said.err or "tea: 15" in said.err
     table = [sample for sample in samples if sample.stamp < 1.9]
     recorded(folder / "table.mcap", [replace(sample) for sample in table], rig_of(SCENARIO))
@@ -48,6 +48,46 @@ def test_an_object_is_weighed_into_its_library(lifted, monkeypatch, capsys):
     again = "objects", "weigh", "table.mcap", "--object", "tea", "--library", "things"
     assert called(monkeypatch, folder, *again) == 2
     assert "got none: the object was never in the air" in capsys.readouterr().err
+
+
+def weighed(sigma_mass=0.005, sigma_palm=0.002, sigma=0.004, directions=3):
+    """A weighing of 280 g with these standard deviations [kg, m]: of the centre in the palm, and in the object."""
+    center = np.array([0.0, 0.0, 0.01])
+    return ObjectWeight(
+        mass=0.28,
+        sigma_mass=sigma_mass,
+        center_object=center,
+        covariance=sigma**2 * np.eye(3),
+        center_palm=center,
+        covariance_palm=sigma_palm**2 * np.eye(3),
+        directions=directions,
+        reason="",
+        biased=(),
+    )
+
+
+@pytest.mark.parametrize(
+    ("weight", "reason", "written", "why"),
+    [
+        (weighed(), "", ("mass", "centre"), ""),
+        (weighed(sigma=0.03), "", ("mass",), "where the object is"),
+        (weighed(sigma_palm=0.03, sigma=0.04), "", ("mass",), "tilt the hand"),
+        (weighed(directions=1), "gravity had one direction", ("mass",), "gravity had one direction"),
+        (weighed(sigma_mass=0.05), "", (), "expected a mass known to 10%"),
+    ],
+    ids=["both known", "pose unknown", "loads unknown", "one direction", "mass unknown"],
+)
+def test_mass_and_centre_are_written_each_by_itself_with_the_true_reason(
+    lifted, monkeypatch, capsys, weight, reason, written, why
+):
+    folder, _ = lifted
+    monkeypatch.setattr("handsight.tracking.best_weight", lambda *_: (weight, reason))
+    command = "objects", "weigh", "lifted.mcap", "--object", "tea", "--library", "things"
+    assert called(monkeypatch, folder, *command) == (0 if written else 2)
+    facts = Library(folder / "things").entry("tea").facts
+    known = {"mass": facts.mass is not None, "centre": facts.center_of_mass is not None}
+    assert [name for name, there in known.items() if there] == list(written)
+    assert why in capsys.readouterr().err
 
 
 def test_what_is_known_of_an_object_is_replaced_and_the_rest_stays(tmp_path):

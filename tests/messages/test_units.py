@@ -8,7 +8,7 @@ from handsight.rig.units import Units
 from messages.ros import JOINTS, rig
 
 
-def said(angle, force, distance):
+def said(angle, force, distance, joints=("j1",)):
     robot = rig()
     robot.hand.limits = np.tile([-0.3, 1.6], (3, 1))
     units = Units(robot)
@@ -16,7 +16,7 @@ def said(angle, force, distance):
     finger = next(iter(robot.fingers))
     wrench = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
     for k in range(20):
-        positions = dict.fromkeys(JOINTS, 0.1) | {"j1": angle}
+        positions = dict.fromkeys(JOINTS, 0.1) | dict.fromkeys(joints, angle)
         units.put(Observation(0.01 * k, positions, wrenches={finger: wrench}, vision=PoseMeasurement(T)))
     return units.sentences()
 
@@ -26,6 +26,11 @@ def test_values_in_a_wrong_unit_are_reported():
     assert joint.endswith("joint 'j1' up to 45 where its file limits it to 1.6 (degrees? 0.785 rad)")
     assert force.endswith("up to 2000 N (millinewtons? 2 N)")
     assert vision.endswith("poses up to 650 m away (millimetres? 0.65 m)")
+
+
+def test_joints_in_degrees_are_one_sentence():
+    (joints,) = said(45.0, 1.0, 0.6, joints=JOINTS)
+    assert joints.endswith(f"(degrees? 0.785 rad); and {len(JOINTS) - 1} more like that")
 
 
 def test_the_values_of_a_real_hand_are_not_reported():

@@ -73,9 +73,14 @@ def test_the_command_calibrates_a_camera_by_a_recordings_images(tmp_path, monkey
     rig = rig_with(OFF @ TRUE)
     write_rig(rig, tmp_path / "rig.yaml")
     recorded(tmp_path / "hand.mcap", pictures(rig, MIN_VIEWS), rig)
-    command = "calibrate", "camera", "hand.mcap", "--rig", "rig.yaml", "--object", "can"
-    assert called(monkeypatch, tmp_path, *command) == 0
+    unknown = dataclasses.replace(rig.camera, intrinsics=None, size=None)
+    write_rig(dataclasses.replace(rig, camera=unknown), tmp_path / "without.yaml")
+    command = "calibrate", "camera", "hand.mcap", "--object", "can", "--rig"
+    assert called(monkeypatch, tmp_path, *command, "rig.yaml") == 0
     out = capsys.readouterr().out
+    # A CameraInfo of the recording stands for intrinsics in the rig.
+    assert called(monkeypatch, tmp_path, *command, "without.yaml") == 0
+    assert capsys.readouterr().out == out
     assert f"# from the hand seen in {MIN_VIEWS} of {MIN_VIEWS} pictures" in out
     assert "touch says" not in out
     place = np.array(re.search(r"position: \[([^]]+)\]", out)[1].split(","), dtype=float)

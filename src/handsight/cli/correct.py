@@ -88,9 +88,9 @@ def correct(
     density, the pose's covariance and information, the residuals, the directions that are unobservable by
     touch, the outliers among the contacts, the conflicts (which evidence contradicts the rest), and other hypotheses. A
     wrong line is answered with `{"error": ...}` in its place, and the exit code is then 1; it is 2 if problems cannot
-    be read, and 74 if answers cannot be written: those until then are in OUTPUT.part, but a shell's `> FILE` is cut
-    under its own name. Lines are answered as they are read, so there may be any number of them. A byte order mark at
-    the beginning is ignored.
+    be read, and 74 if answers cannot be written. After Ctrl-C or an error the answers until then are in OUTPUT.part,
+    and OUTPUT is as it was, but a shell's `> FILE` is cut under its own name. Lines are answered as they are read, so
+    there may be any number of them. A byte order mark at the beginning is ignored.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
@@ -144,7 +144,7 @@ def correct(
             reader = Reader(folder)
             terminal.say(draw(((reader.read(line), json.loads(text)) for line, text in first), plot))
     except KeyboardInterrupt:
-        terminal.say(f"handsight: stopped after {done} answers; they are written")
+        terminal.say(f"handsight: stopped after {done} answers{terminal.kept_in(output)}")
         raise typer.Exit(terminal.INTERRUPTED) from None
     except BrokenPipeError:
         raise typer.Exit(terminal.NOBODY_READS) from None

@@ -51,7 +51,7 @@ def demo(
     """
     from rich.console import Console
 
-    announce_compiling()
+    announce_compiling(aloud=True)
     out = Console(width=None if sys.stdout.isatty() else 110, markup=False, highlight=False)
     found = list(examples())
     out.print(error_table(found))

@@ -1,9 +1,8 @@
 """`handsight locate`: where an object is in depth images, without a guess."""
 
 import math
-import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,12 +13,12 @@ from typer import Argument, Option
 from handsight.cli import terminal
 from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig, refuse
 from handsight.cli.terminal import announce_compiling, millimetres
-from handsight.errors import HandsightError, InvalidInput, NotWritten
+from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
     from handsight.recording.detections import Located, LocatedAll
-    from handsight.recording.frames import Frame, Frames, Unread
+    from handsight.recording.frames import Box, Frame, Frames, Unread
     from handsight.vision import DepthNoise, ObjectDetection
 
     Row = Located | LocatedAll | Unread
@@ -28,9 +27,10 @@ MAX_INSTANCES = 100
 """Most instances of one object in an image."""
 MOST_PANELS = 6
 """Number of images in the picture."""
-COLUMNS = "image", "object", "x, y, z in the camera [mm]", "± [mm]", "± [°]", "probability", "ms"
 MAX_MESSAGES = 5
-"""Number of messages about unreadable images, and about images without the object."""
+"""Number of messages about unreadable images."""
+DOUBT = 0.01
+"""Another pose, or another object, that fits with at least this probability is told."""
 
 
 def locate(
@@ -61,8 +61,8 @@ def locate(
         Option(
             "--output",
             "-o",
-            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv; "
-            "OUTPUT.part until they are complete. Default: stdout.",
+            help="File for the answers, a line of JSON for each image (- for stdout), or BOP results if its name "
+            "ends in .csv; OUTPUT.part until they are complete. Default: a short line a pose.",
         ),
     ] = None,
     plot: Annotated[
@@ -158,34 +158,33 @@ def locate(
     as `can*2` says. `--which` recognises the one object in
     the image, or in a detector's box.
 
-    An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
-    covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, up to
-    three hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it
-    lists them in `objects`, and in `missing` why others are not there. With `--which` it has the probability of each
-    (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is null if `none` is
-    more probable. An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it is
-    2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until then are kept.
+    A line has the object's pose in the camera's frame (x right, y down, z forward), its standard deviations, the
+    probability that it is right, and what else fits.
+
+    With `-o`, an answer has position [m], quaternion_xyzw, covariance (6x6, position then rotation along the camera's
+    axes), probability, up to three hypotheses with weights, and seconds; or `"found": false` and the reason. With
+    several objects it lists them in `objects`, and in `missing` why others are not there. With `--which` it has the
+    probability of each (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is
+    null if `none` is more probable.
+
+    An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it is 2 if no image
+    can be read, and 74 if answers cannot be written. After Ctrl-C or an error, the answers until then are in
+    OUTPUT.part, and OUTPUT is as it was.
     """
-    from handsight.checks import suggestion
-    from handsight.objects.library import Library, NoLibrary
     from handsight.recording.frames import Beside, Frame, is_recording, open_frames, recorded_frames, within
-    from handsight.recording.hints import Hints
-    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+    from handsight.vision.depth_noise import PRESETS
 
     announce_compiling()
     terminal.check_outputs(output, plot, images, camera, mask, rig, detections, start, targets)
     csv = output is not None and output.suffix.lower() == ".csv"
+    noise = _noise(depth_camera)
     numbers = None
     names, most = _counted(object or [])
-    beside = Beside(camera=camera, resized=resized, mask=mask, depth_scale=depth_scale)
-    noise = STRUCTURED_LIGHT
     if is_recording(images):
         if csv:
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
+        refuse(str(images), camera=camera, mask=mask, depth_scale=depth_scale, resized=resized)
         refuse(str(images), depth_camera=depth_camera, detections=detections, start=start, targets=targets)
-        if beside != Beside():
-            what = "expected no camera, mask or depth scale beside a recording"
-            raise InvalidInput(f"{images}: {what}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
         if robot.camera is not None:
@@ -193,12 +192,7 @@ def locate(
         frames = recorded_frames(images, robot)
     else:
         refuse(str(images), rig=rig)
-        if depth_camera is not None:
-            if depth_camera not in PRESETS:
-                expected = f"expected one of {', '.join(PRESETS)}"
-                hint = suggestion(depth_camera, PRESETS)
-                raise InvalidInput(f"--depth-camera: {expected}, got {depth_camera!r:.80}{hint}")
-            noise = PRESETS[depth_camera]
+        beside = Beside(camera=camera, resized=resized, mask=mask, depth_scale=depth_scale)
         frames = open_frames(images, beside)
         folder = frames.folder
         if folder is not None:
@@ -207,31 +201,70 @@ def locate(
             terminal.say(folder.sentence(images))
         library = library or (str(frames.library) if frames.library else None)
         models = find_models(names, library=library, scale=scale)
-        if csv:  # BOP's results name objects by the library's numbers
-            entry = Library(library).entry
-            numbers = {name: entry(each).number for name, each in zip(models, names or models, strict=True)}
+        if csv:
+            numbers = _numbers(models, names, library)
         if any((mask, detections, start, targets)):
-            try:
-                entries = Library(library).entries()
-            except NoLibrary:
-                entries = ()
-            known = {str(entry.number): entry.name for entry in entries if entry.name in models}
-            hints = Hints(models, known, frames.images, detections=detections, start=start, targets=targets)
-            terminal.say(*hints.sentences)
-            total = None if targets else frames.total
-            frames = frames._replace(total=total, each=hints.beside_each(frames.each))
+            frames = _hinted(frames, models, library, detections=detections, start=start, targets=targets)
     if box is not None:
-        try:
-            left, top, right, bottom = (float(part) for part in box.split(","))
-        except ValueError:
-            expected = "expected 4 numbers u0,v0,u1,v1"
-            raise InvalidInput(f"--box: {expected}, got {box!r:.60}") from None
-        area = (left, top, right, bottom)
+        area = _area(box)
         each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
-    counts = {name: most[given] for name, given in zip(models, names, strict=False) if given in most}
-    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers):
+    counts = None
+    if not which:
+        counts = {name: most[given] for name, given in zip(models, names, strict=False) if given in most}
+    if code := _locate_each(frames, models, counts, noise, output, plot, numbers):
         raise typer.Exit(code)
+
+
+def _noise(kind: str | None) -> "DepthNoise":
+    """Returns the noise of a kind of depth camera; raises InvalidInput for one that is not known."""
+    from handsight.checks import suggestion
+    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+
+    if kind is None:
+        return STRUCTURED_LIGHT
+    for known, noise in PRESETS.items():
+        if known == kind:
+            return noise
+    came = f"{kind!r:.80}{suggestion(kind, PRESETS)}"
+    raise InvalidInput(f"--depth-camera: expected one of {', '.join(PRESETS)}, got {came}")
+
+
+def _area(box: str) -> "Box":
+    """Returns the columns and rows of a box; raises InvalidInput."""
+    try:
+        left, top, right, bottom = (float(part) for part in box.split(","))
+    except ValueError:
+        raise InvalidInput(f"--box: expected 4 numbers u0,v0,u1,v1, got {box!r:.60}") from None
+    return left, top, right, bottom
+
+
+def _numbers(
+    models: "Mapping[str, ObjectModel]", names: Sequence[str], library: str | None
+) -> dict[str, int]:
+    """Returns the library's numbers of objects, by which BOP's results call them."""
+    from handsight.objects import Library
+
+    known = Library(library)
+    return {name: known.entry(given).number for name, given in zip(models, names or models, strict=True)}
+
+
+def _hinted(
+    frames: "Frames", models: "Mapping[str, ObjectModel]", library: str | None, **files: Path | None
+) -> "Frames":
+    """Returns the images with what files of other programs say of them, which are named as `Hints` names them."""
+    from handsight.objects.library import Library, NoLibrary
+    from handsight.recording.hints import Hints
+
+    try:
+        entries = Library(library).entries()
+    except NoLibrary:
+        entries = ()
+    known = {str(entry.number): entry.name for entry in entries if entry.name in models}
+    hints = Hints(models, known, frames.images, **files)
+    terminal.say(*hints.sentences)
+    total = None if files["targets"] else frames.total
+    return frames._replace(total=total, each=hints.beside_each(frames.each))
 
 
 def _counted(given: list[str]) -> tuple[list[str], dict[str, int]]:
@@ -262,9 +295,9 @@ def _locate_each(
 ) -> int:
     """Locates objects in each image, and returns the command's exit code.
 
-    The answers are written to a file or stdout, or shown as a table on a terminal; after Ctrl-C or an error, those
-    until then. An error before the first answer is raised. `counts`: as `locator` takes them. `numbers`: BOP's numbers
-    of the objects, by name, for BOP's results; None: the answers are lines of JSON.
+    The answers are written to a file or stdout; after Ctrl-C or an error, those until then. An error before the first
+    answer is raised. `counts`: as `locator` takes them. `numbers`: BOP's numbers of the objects, by name, for BOP's
+    results; None: the answers are lines of JSON, or short without `output`.
     """
     from handsight.recording.detections import bop_lines, json_line
     from handsight.recording.frames import Unread
@@ -273,10 +306,8 @@ def _locate_each(
     done = found = 0
     locate_in: Callable[[Frame], Located | LocatedAll] | None = None
     panels = list["Located | LocatedAll"]()  # for the picture
-    cells = list[list[str]]()  # for the table
-    unread, missed = list[str](), list[str]()  # why images cannot be read, or do not show an object
+    unread = list[str]()
     notes = list[str]()
-    as_table = output is None and sys.stdout.isatty()
     with (
         terminal.kept_going() as end,
         terminal.output_lines(output) as write,
@@ -296,32 +327,28 @@ def _locate_each(
                     row = row if otherwise.reason is not None else otherwise
                 notes += [note for note in row.frame.notes if note not in notes]
                 found += row.reason is None
-                if row.reason is not None:
-                    missed.append(f"{frame.name}: not here: {row.reason}")
                 panels = [*panels, row][:MOST_PANELS]
             done += 1  # after the search, which Ctrl-C may end
-            if as_table:
-                cells += _table_rows(row)
+            if numbers is not None:
+                lines = bop_lines(row, numbers)
+            elif output is not None:
+                lines = [json_line(row)]
             else:
-                lines = [json_line(row)] if numbers is None else bop_lines(row, numbers)
-                write(header + lines)
-                header = []
+                lines = list(_short_lines(row))
+            write(header + lines)
+            header = []
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
-    if cells:
-        title = f"{', '.join(models)} in depth images"
-        terminal.print_out(terminal.table(COLUMNS, cells, texts=2, title=title))
     if isinstance(end.error, HandsightError) and not done:
         raise end.error
     sentences = unread[:MAX_MESSAGES]
     if len(unread) > MAX_MESSAGES:
         sentences.append(f"handsight: {len(unread) - MAX_MESSAGES} more images cannot be read")
     sentences += notes[:MAX_MESSAGES]
-    if output is not None and not isinstance(end.error, NotWritten):
-        sentences.append(f"wrote {output}: found in {found} of {done} images")
-    if cells:
-        sentences += missed[:MAX_MESSAGES]
     if end.exit_code:
-        sentences.append(end.message or f"handsight: stopped after {done} images; what was found is kept")
+        kept = terminal.kept_in(output)
+        sentences.append(f"{end.message or 'handsight: stopped'} (after {done} images{kept})")
+    elif not terminal.is_stdout(output):
+        sentences.append(f"wrote {output}: found in {found} of {done} images")
     if plot is not None and panels:
         sentences.append(draw(panels, plot))
     terminal.say(*sentences)
@@ -411,26 +438,40 @@ def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:
     return f"wrote {path}"
 
 
-def _table_rows(row: "Row") -> list[list[str]]:
-    """Returns the cells of an answer's rows in the table, one row for each object that was found."""
-    import numpy as np
-
+def _short_lines(row: "Row") -> Iterator[str]:
+    """Yields a line for each object that was found in an image, or that is not there."""
     from handsight.recording.detections import Located
     from handsight.recording.frames import Unread
 
     if isinstance(row, Unread):
-        return [[row.name, "", "cannot be read"]]
-    milliseconds = f"{1000 * row.seconds:.0f}"
-    if row.reason is not None:
-        return [[row.frame.name, "none", "not here", "", "", "", milliseconds]]
-    rows = []
-    for each in [row] if isinstance(row, Located) else row.instances:
-        found = each.found
-        name = each.model.name
-        if each.recognition is not None:
-            name = f"{name}: {each.recognition.scores[name]:.2f}"
-        place = millimetres(found.Ts_camera_object[0, :3, 3])
-        sigmas = np.sqrt(found.covariances[0].diagonal())
-        off = millimetres(sigmas[:3].max()), f"{math.degrees(sigmas[3:].max()):.1f}"
-        rows.append([each.frame.name, name, place, *off, f"{found.probability:.2f}", milliseconds])
-    return rows
+        yield f"{row.name}: cannot be read"
+        return
+    image = row.frame.name
+    if isinstance(row, Located):
+        yield f"{image}: {_pose_line(row) if row.reason is None else f'not here: {row.reason}'}"
+        return
+    for each in row.instances:
+        yield f"{image}: {_pose_line(each)}"
+    for name, why in row.found.missing.items():
+        yield f"{image}: {name} is not here: {why}"
+
+
+def _pose_line(row: "Located") -> str:
+    """Returns an object's pose, its standard deviations and its probability, and what else fits."""
+    import numpy as np
+
+    from handsight import se3
+
+    found = row.found
+    pose = se3.position_quaternion(found.Ts_camera_object[0])
+    turn = ", ".join(f"{x:.3f}" for x in pose["quaternion_xyzw"])
+    sigmas = np.sqrt(found.covariances[0].diagonal())
+    off = millimetres(sigmas[:3].max())
+    tilt = math.degrees(sigmas[3:].max())
+    line = f"{row.model.name} at [{millimetres(pose['position'])}] mm ± {off}, turned [{turn}] (xyzw) ± {tilt:.1f}°"
+    line += f", probability {found.probability:.2f}"
+    others = [f"another pose {weight:.2f}" for weight in found.weights[1:3] if weight > DOUBT]
+    if row.recognition is not None:
+        scores = row.recognition.scores | {"none of them": row.recognition.none}
+        others += [f"{name} {p:.2f}" for name, p in scores.items() if p > DOUBT and name != row.model.name]
+    return f"{line}; or {', '.join(others)}" if others else line

@@ -3,8 +3,9 @@
 import gc
 import io
 import os
+import shutil
+import signal
 import sys
-import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -14,6 +15,7 @@ import typer
 from typer import Option
 
 # Help and version must appear at once, so each command imports what computes when it runs.
+from handsight.cache_folder import why_unusable
 from handsight.cli import terminal
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
@@ -28,6 +30,9 @@ from handsight.cli.track import track
 from handsight.cli.view import view
 from handsight.errors import HandsightError, NotWritten
 from handsight.files import write_errors
+
+NEEDED_SPACE = 30_000_000
+"""So much space [bytes] is left before kernels are compiled, which take some twenty megabytes."""
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -45,6 +50,9 @@ def main() -> None:
     full disk; 141 if the reader of stdout has closed it.
     """
     gc.set_threshold(50_000)  # modules that load leave no garbage; searching for it took a tenth of the time
+    signal.signal(
+        signal.SIGTERM, signal.default_int_handler
+    )  # as Ctrl-C: what is not complete is cleared away
     terminal.reopen_closed_streams()
     for stream in (sys.stdout, sys.stderr):  # a terminal of ASCII has no µ
         if isinstance(stream, io.TextIOWrapper):
@@ -117,14 +125,22 @@ def warmup(
 
     import numba
 
-    if into is not None:
+    if into is not None:  # else each kernel would be compiled, and not kept
+        if reason := why_unusable(into):
+            raise NotWritten(reason)
         into.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=into).close()  # else each kernel would be compiled, and not kept
         os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
         os.environ.pop("NUMBA_CACHE_DIR", None)
     from handsight._kernels.jit import FOLDER  # by these variables
     from handsight.tracking.warm import GROUPS, LATER
 
+    if FOLDER is None:
+        raise NotWritten("no folder for compiled kernels can be written; --into names another")
+    free = shutil.disk_usage(FOLDER).free
+    if free < NEEDED_SPACE:
+        raise NotWritten(
+            f"{FOLDER}: expected {NEEDED_SPACE / 1e6:.0f} MB for kernels, got {free / 1e6:.0f} MB"
+        )
     started = time.monotonic()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(numba.config.NUMBA_NUM_THREADS, context) as workers:
@@ -137,11 +153,16 @@ def warmup(
 
 
 def _compile(name: str) -> float:
-    """Returns the seconds that a group of kernels took to compile."""
+    """Returns the seconds that a group of kernels took to compile; raises NotWritten where they cannot be kept."""
+    from handsight._kernels.jit import KernelWarning
     from handsight.tracking.warm import GROUPS
 
+    warnings.simplefilter("error", KernelWarning)
     started = time.monotonic()
-    GROUPS[name]()
+    try:
+        GROUPS[name]()
+    except KernelWarning as error:
+        raise NotWritten(str(error)) from None
     return time.monotonic() - started
 
 

@@ -15,6 +15,7 @@ from handsight.errors import InvalidInput, printable
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from handsight.forces import ObjectWeight
     from handsight.objects.library import Library
     from handsight.objects.symmetry import Symmetries
 
@@ -27,6 +28,7 @@ objects_app = typer.Typer(
 FAR = 5.0  # from the origin, in diameters, where an object's frame is of no use
 USUAL_SIZE = 0.1  # diameter to which a mesh of unknown scale is brought before it is measured [m]
 MAX_SIGMA = 0.01  # of a centre of mass per axis [m]; a less certain one is of no use
+MAX_SHARE = 0.1  # of a mass that its standard deviation may be
 Name = Annotated[str, Argument(help="A name, or a number as in BOP.")]
 
 
@@ -105,9 +107,6 @@ def add(
         Path | None,
         Option(help="With a depth image: file of the camera's intrinsics. Default: that beside the image."),
     ] = None,
-    depth_scale: Annotated[
-        float | None, Option(help="With a depth image: metres per step of depth, as for `handsight locate`.")
-    ] = None,
     mass: Annotated[float | None, Option(help="Mass [kg].")] = None,
     center_of_mass: Annotated[
         tuple[float, float, float] | None,
@@ -125,16 +124,12 @@ def add(
         ),
     ] = None,
     licence: Annotated[str, Option(help="Licence of the model.")] = "",
-    source: Annotated[str, Option(help="Where the model is from.")] = "",
     recentre: Annotated[
         bool,
         Option(
             "--recentre",
             help="Move it to the middle of its bounds, as from map coordinates; it is said by how much.",
         ),
-    ] = False,
-    force: Annotated[
-        bool, Option("--force", help="Add it even if its size is not that of an object in a hand.")
     ] = False,
     library: LibraryPlace = None,
 ) -> None:
@@ -161,10 +156,10 @@ def add(
             shape, middle = write_recentred(file, Path(folder))
         sigma_scale = None
         if scale_from is None:
-            refuse("a scale that is given", mask=mask, camera=camera, depth_scale=depth_scale)
+            refuse("a scale that is given", mask=mask, camera=camera)
         else:
             refuse("--scale-from", scale=scale != 1.0)
-            scale, sigma_scale = _measured_scale(shape, scale_from, mask, camera, depth_scale)
+            scale, sigma_scale = _measured_scale(shape, scale_from, mask, camera)
         origin = None if middle is None else tuple((scale * middle).tolist())
         facts = Facts(
             name=name,
@@ -174,7 +169,6 @@ def add(
             center_of_mass=center_of_mass,
             sigma_center_of_mass=sigma_center_of_mass,
             licence=licence,
-            source=source,
         )
         symmetries = Symmetries()
         if symmetry:
@@ -183,7 +177,7 @@ def add(
             except InvalidInput as error:
                 raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
         opened = _opened(library)
-        entry = opened.add(shape, facts, scale=scale, symmetries=symmetries, force=force)
+        entry = opened.add(shape, facts, scale=scale, symmetries=symmetries)
     size = f"diameter {millimetres(entry.diameter)} mm, symmetries: {_symmetries(entry.symmetries)}"
     say(f"added {entry.name} to {opened.place} as {entry.file}: {size}")
     if origin is not None:
@@ -243,17 +237,18 @@ def weigh(
     rig: RigPath = None,
     library: LibraryPlace = None,
 ) -> None:
-    """Estimate an object's mass and centre of mass from a recording, and write both to the library.
+    """Estimate an object's mass and centre of mass from a recording, and write them to the library.
 
     In the recording, the hand must lift the object, tilt it by 20° about two axes, and hold still for half a second
-    each time. The uncertainty of the object's pose in the hand is part of the uncertainty of the centre. Both are
-    written only if the centre is known to 10 mm (one standard deviation per axis).
+    each time. The uncertainty of the object's pose in the hand is part of the uncertainty of the centre. The mass is
+    written if it is known to a tenth, the centre if it is known to 10 mm (one standard deviation per axis); what is not
+    written stays as it was, and the reason is said.
 
     ```
     handsight objects weigh lifted.mcap --object mustard
     ```
     """
-    from handsight.tracking.replay import best_weight
+    from handsight.tracking import best_weight
 
     announce_compiling()
     opened = _opened(library)
@@ -266,22 +261,41 @@ def weigh(
     if found is None:
         expected = "expected an object that is weighed in the air"
         raise InvalidInput(f"{recording.name}: {expected}, got none: {reason}")
-    center, sigma = found.kept_by_symmetries(model)
     mass = f"{_grams(found.mass)} ± {1000 * found.sigma_mass:.2g} g"
+    if found.sigma_mass > MAX_SHARE * found.mass:
+        raise InvalidInput(
+            f"{recording.name}: expected a mass known to {MAX_SHARE:.0%}, got {mass}: not written"
+        )
+    center, sigma = found.kept_by_symmetries(model)
+    reason = reason or _why_uncertain(found, sigma)
+    if reason:
+        opened.weigh(name, found.mass)
+        say(f"{model.name}: {mass}, by {found.directions} directions of gravity")
+        say(f"wrote the mass to {opened.place}; the centre of mass is not written: {reason}")
+        return
+    opened.weigh(name, found.mass, center, sigma)
     place = f"[{millimetres(center)}] ± {millimetres(sigma)} mm per axis"
     say(f"{model.name}: {mass}, centre {place}, by {found.directions} directions of gravity")
-    if sigma > MAX_SIGMA:
-        hint = "where the object is in the hand must be known: by more contacts, or by vision"
-        expected = (
-            f"expected a centre of mass known to {millimetres(MAX_SIGMA)} mm, got {millimetres(sigma)} mm"
-        )
-        raise InvalidInput(f"{recording.name}: {expected}: not written ({hint})")
-    opened.weigh(name, found.mass, center, sigma)
-    say(f"wrote {opened.place}")
+    say(f"wrote mass and centre of mass to {opened.place}")
+
+
+def _why_uncertain(found: "ObjectWeight", sigma: float) -> str:
+    """Returns why a centre of mass is too uncertain to be used, empty where it is not; `sigma`: in the object [m]."""
+    import numpy as np
+
+    if sigma <= MAX_SIGMA:
+        return ""
+    by_loads = float(np.sqrt(np.linalg.eigvalsh(found.covariance_palm)[-1]))
+    known = f"expected it known to {millimetres(MAX_SIGMA)} mm, got {millimetres(sigma)} mm"
+    if by_loads > MAX_SIGMA:
+        hint = "tilt the hand further, about two axes, and hold still"
+        return f"{known}; the sensors tell it to {millimetres(by_loads)} mm in the palm: {hint}"
+    hint = "more contacts or vision are needed"
+    return f"{known}; the sensors tell it to {millimetres(by_loads)} mm, but not where the object is: {hint}"
 
 
 def _measured_scale(
-    file: Path, measured: Path, mask: Path | None, camera: Path | None, depth_scale: float | None
+    file: Path, measured: Path, mask: Path | None, camera: Path | None
 ) -> tuple[float, float]:
     """Returns the metres per unit of a mesh, and their standard deviation as a share, by a depth image or touches."""
     from handsight.objects import ObjectModel
@@ -295,7 +309,7 @@ def _measured_scale(
         if measured.suffix.lower() in (".jsonl", ".json"):
             from handsight.batch.problems import read_touches
 
-            refuse("touches", mask=mask, camera=camera, depth_scale=depth_scale)
+            refuse("touches", mask=mask, camera=camera)
             contacts, vision = read_touches(measured)
             found = scale_by_touch(model, contacts, vision=vision)
         else:
@@ -303,7 +317,7 @@ def _measured_scale(
 
             if mask is None:
                 raise InvalidInput("--mask: expected an image of where the object is, got nothing")
-            frames = open_frames(measured, Beside(camera=camera, mask=mask, depth_scale=depth_scale))
+            frames = open_frames(measured, Beside(camera=camera, mask=mask))
             frame = next(frames.each)
             if frames.total != 1 or not isinstance(frame, Frame) or frame.wanted is None:
                 raise InvalidInput(f"--scale-from: expected one depth image, got {frames.total}")

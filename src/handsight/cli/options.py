@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -39,14 +39,6 @@ LibraryPlace = Annotated[
         help="Library of objects. Default: $HANDSIGHT_LIBRARY, else `handsight/library` in `~/.local/share`.",
     ),
 ]
-Rate = Annotated[
-    float | None,
-    Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
-]
-OutsidePoints = Annotated[
-    int,
-    Option(min=0, help="Number of points on the hand's links, which cannot be inside the object. 0: none."),
-]
 WithImages = Annotated[
     bool,
     Option(help="Find the object in the recorded depth images; without images, use recorded poses of it."),
@@ -60,16 +52,6 @@ def refuse(beside: str, **options: object) -> None:
     for name, given in options.items():
         if given:
             raise InvalidInput(f"--{name.replace('_', '-')}: expected none with {beside}, got some")
-
-
-def tracker_settings(**given: Any) -> "TrackerSettings":
-    """Returns a tracker's settings from the values of options; raises an InvalidInput that names the option."""
-    from handsight.tracking import TrackerSettings
-
-    try:
-        return TrackerSettings(**given)
-    except InvalidInput as error:
-        raise InvalidInput(f"--{str(error).removeprefix('settings.')}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +128,7 @@ def find_models(
     """
     from handsight.objects import Library, ObjectModel, find_model
     from handsight.objects.library import NoLibrary
+    from handsight.rig.units import check_held
 
     objects = {} if rig is None else rig.objects
     opened = Library(library)
@@ -162,6 +145,8 @@ def find_models(
     for name in wanted:
         place = "" if rig is None else str(rig_path)
         model = find_model(name, objects, place, library=opened, scale=scale, argument="--object")
+        if rig is not None:
+            check_held(rig, model)
         if model.name in by_name:
             raise InvalidInput(f"--object: expected objects of different names, got {model.name!r} twice")
         by_name[model.name] = model

@@ -13,7 +13,7 @@ from typer import Option
 from handsight.cli.options import RecordingPath, RigPath, find_rig
 from handsight.cli.terminal import announce_compiling, bar, kept_going, say
 from handsight.errors import InvalidInput
-from handsight.files import atomic_file, write_errors
+from handsight.files import binary_file
 
 if TYPE_CHECKING:
     from handsight.recording import Recording
@@ -89,7 +89,7 @@ def reconstruct(
             points = np.concatenate([points, below])
             sigmas = np.append(sigmas, np.full(len(below), SIGMA_FOOT))
         content = ply_bytes(Shape(points, sigmas=sigmas), 1.0)
-        with write_errors(output), atomic_file(output) as file:
+        with binary_file(output) as file:
             file.write(content)
         messages += [*sentences, f"wrote {output}: {len(points)} points"]
     finally:

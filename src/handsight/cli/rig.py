@@ -1,28 +1,27 @@
 """`handsight rig` and `handsight calibrate`: a first rig file, and a rig file compared with a recording."""
 
 import contextlib
-import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
-from handsight.cli.terminal import kept_going, millimetres, plain_table, print_out, say
+from handsight.cli.terminal import FAILED, kept_going, millimetres, plain_table, print_out, say
 from handsight.cli.track import refusals
-from handsight.errors import HandsightError, InvalidFile, InvalidInput, printable
-from handsight.files import write_errors
+from handsight.errors import HandsightError, InvalidFile, InvalidInput, InvalidObject, printable
+from handsight.files import text_file
 
 if TYPE_CHECKING:
     from handsight.checks import Array
-    from handsight.hand.guess import GuessedTip
     from handsight.messages.survey import Survey
     from handsight.objects import ObjectModel
     from handsight.rig import Finger, Rig
+    from handsight.tracking import Tracker
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
@@ -33,12 +32,6 @@ DESCRIPTION = "/robot_description"
 EXAMPLES = Path(__file__).parents[1] / "data" / "rigs"
 INTO_FINGER = -0.5
 """A tip whose +z has a smaller cosine with the way from its last joint to it points into its finger."""
-MOST_UNUSED = 40
-"""Arrays that nothing reads which are listed in a new rig."""
-NO_SENSOR = (
-    "no finger has a sensor, so none can touch: fingers.X.sensor, a topic in topics.contacts, or taxels in skin on the "
-    "finger's frame"
-)
 WHY_UNTOUCHED = {
     "off_cap": "beside the sensed part of its tip: cap, surface, sensor.pose or reading is wrong",
     "beyond_friction": "of more friction than its tip's max_friction: bias, sensor.pose or max_friction is wrong",
@@ -89,25 +82,30 @@ def new(
     if (hand is None) == (like is None):
         came = "neither" if like is None else "both"
         raise InvalidInput(f"expected the hand's file, or --like and the name of an example, got {came}")
-    if hand is not None:
-        recording, hand = _described(hand, recording)
-        text = _guessed(hand, recording, palm, taxels)
-        name = hand.stem
-    else:
-        examples = {path.name.removesuffix(".rig.yaml"): path for path in sorted(EXAMPLES.glob("*.rig.yaml"))}
-        if like not in examples:
-            raise InvalidInput(f"--like: expected one of {', '.join(examples)}, got {like!r:.60}")
-        text = examples[like].read_text(encoding="utf-8")
-        name = like
-    path = output or Path(f"{name}.rig.yaml")
-    with write_errors(path):
+    from handsight.messages.first_rig import first_rig
+
+    with contextlib.ExitStack() as undone:
+        if hand is not None:
+            recording, hand = _described(hand, recording, undone)
+            found = None if recording is None else _surveyed(recording)
+            said, text = first_rig(hand, found, palm=palm, taxels=taxels)
+            say(*said)
+            name = hand.stem
+        else:
+            examples = {path.name.removesuffix(".rig.yaml"): path for path in EXAMPLES.glob("*.rig.yaml")}
+            if like not in examples:
+                raise InvalidInput(f"--like: expected one of {', '.join(sorted(examples))}, got {like!r:.60}")
+            text = examples[like].read_text(encoding="utf-8")
+            name = like
+        path = output or Path(f"{name}.rig.yaml")
         _new_file(path, text)
+        undone.pop_all()
     say(f"wrote {path}; next: handsight rig check {path} {recording or ''}".rstrip())
 
 
-def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
+def _described(hand: Path, recording: Path | None, undone: contextlib.ExitStack) -> tuple[Path | None, Path]:
     """Returns a recording and the hand's file; of a recording alone, the robot's description in it, which is written
-    beside the rig. Raises InvalidFile where it has none."""
+    beside the rig, and taken away when `undone` ends. Raises InvalidFile where it has none."""
     from handsight.messages.decode import deserialized
     from handsight.recording.frames import is_recording
     from handsight.recording.open import open_files
@@ -118,9 +116,8 @@ def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
         with contextlib.closing(source):
             for message in source.messages({DESCRIPTION}):
                 file = Path(f"{hand.stem}.urdf")
-                text = str(deserialized(message).data)
-                with write_errors(file):
-                    _new_file(file, text)
+                _new_file(file, str(deserialized(message).data))
+                undone.callback(file.unlink)
                 say(f"wrote {file}: what is said on {DESCRIPTION}")
                 return hand, file
     raise InvalidFile(
@@ -129,173 +126,21 @@ def _described(hand: Path, recording: Path | None) -> tuple[Path | None, Path]:
 
 
 def _new_file(path: Path, text: str) -> None:
-    """Writes a text to a file that is new; raises InvalidFile where there is one."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
+    """Writes a text to a file that is new; raises InvalidFile where there is one, NotWritten."""
+    if path.exists():
         expected = "expected a new file, got one that exists"
-        raise InvalidFile(f"{path}: {expected}; --output names another") from None
+        raise InvalidFile(f"{path}: {expected}; --output names another")
+    with text_file(path) as file:
+        file.write(text)
 
 
-def _guessed(file: Path, recording: Path | None, palm: str | None, taxels: str | None) -> str:
-    """Returns the text of a rig, with what was guessed at its head, and prints that; raises InvalidFile."""
-    from handsight.hand import Hand
-    from handsight.hand.guess import guess_hand
-    from handsight.messages.match import match_frames, match_joints, match_topics
-    from handsight.messages.survey import Survey, survey
+def _surveyed(recording: Path) -> "Survey":
+    """Returns what is in a recording's messages."""
+    from handsight.messages.survey import survey
     from handsight.recording.open import open_files
-    from handsight.rig import MountedCamera, Rig, Topics, save
 
-    asked = palm is not None
-    palm, tips = guess_hand(file, palm)
-    hand = Hand.from_file(file, palm=palm, tips={name: tip.link for name, tip in tips.items()})
-    found = Survey()
-    if recording is not None:
-        with contextlib.ExitStack() as opened:
-            found = survey([opened.enter_context(contextlib.closing(each)) for each in open_files(recording)])
-    topics, used = match_topics(found.types, list(tips))
-    skin, guessed_of_skin = _skin(file, tips, found, taxels)
-    lines = [] if asked else [f"palm: {palm}, the link that all fingers hang on"]
-    fingers = _fingers(tips, lines)
-    open_ends = list[str]()
-    joint_names = dict[str, str]()
-    frames = dict[str, str]()
-    if recording is None:
-        topics = Topics(wrenches={name: f"/{name}/wrench" for name in tips})
-    else:
-        stated = topics.joint_states if topics.joint_states in found.types else None
-        joints = match_joints(found, hand, stated)
-        joint_names = joints.joint_names
-        heard_on = joints.topic or topics.joint_states
-        topics = dataclasses.replace(topics, joint_states=heard_on, joint_reading=joints.reading)
-        frames, guessed_of_frames, open_of_frames = match_frames(found, palm, topics.vision)
-        lines += [*joints.guessed, *guessed_of_frames]
-        open_ends += [*joints.open_ends, *open_of_frames]
-    in_images = topics.vision is not None or topics.depth is not None
-    rig = Rig(
-        hand=hand,
-        fingers=fingers,
-        camera=MountedCamera() if in_images else None,
-        world_from="tf" if topics.tf is not None else None,
-        frames={"world": "world", "palm": "palm", "camera": "camera"} | frames,
-        joint_names=joint_names,
-        topics=topics,
-    )
-    lines += [f"topic {topic}: {what}" for topic, what in used.items()]
-    lines += guessed_of_skin
-    heard = {str(entry.get("topic")) for entry in skin.values()}
-    others = found.types.keys() - used.keys() - heard - {topics.joint_states}
-    if others:
-        lines.append(f"not used: {', '.join(sorted(others))}")
-    if not (topics.wrenches or topics.contacts or skin):
-        open_ends.append(NO_SENSOR)
-    if topics.wrenches:
-        open_ends.append("each sensor's pose, reading (on_sensor or on_tip), noise, bias and tip_mass")
-    open_ends.append("the camera's pose, and objects" if in_images else "objects")
-    filled = [f"to fill in: {what}" for what in open_ends]
-    say(*lines, *filled)
-    head = [f"# Guessed: {line}" for line in lines] + [f"# T{line[1:]}" for line in filled]
-    surfaces = [f"  {save.inline(name)}: {save.inline(entry)}" for name, entry in skin.items()]
-    if surfaces:
-        guess = "each at the end of its tip, z out of the skin, y along its columns: measure, count"
-        surfaces = [f"# Guessed: {guess}; see docs/sensors.md", "skin:", *surfaces]
-    read = {(str(entry.get("topic")), str(entry.get("field"))) for entry in skin.values()}
-    if topics.joint_reading is not None:
-        read.add((topics.joint_states, topics.joint_reading.field))
-    unused = _unused(found, read)
-    return "\n".join([*head, save.text(rig).rstrip(), *surfaces, *unused, ""])
-
-
-def _fingers(tips: "Mapping[str, GuessedTip]", lines: list[str]) -> "dict[str, Finger]":
-    """Returns the fingers with the tips that were guessed, and adds a line for each."""
-    import numpy as np
-
-    from handsight import se3
-    from handsight.contact import Sphere, WrenchCalibration
-    from handsight.rig import Finger
-
-    unread = WrenchCalibration(np.zeros(3), np.zeros(3), 0.0, np.zeros(3), reading="on_sensor")
-    fingers = dict[str, Finger]()
-    for name, tip in tips.items():
-        T = tip.T_link_surface
-        shape = Sphere(tip.radius, cap=-tip.radius / 2, T_surface_sensor=se3.inverse(T))
-        fingers[name] = Finger(frame=tip.link, T_frame_surface=T, tip=shape, calibration=unread)
-        why = "by its shape" if tip.of_shape else "as the link has no shape"
-        size = f"a sphere of {millimetres(tip.radius)} mm {why}: measure it"
-        lines.append(f"finger {name}: {tip.link} is its tip, {size}")
-    return fingers
-
-
-def _unused(found: "Survey", read: set[tuple[str, str]]) -> list[str]:
-    """Returns comments with the arrays in messages of drivers that nothing in the rig reads, and how they would be.
-
-    `read`: the topics and paths of the rig.
-    """
-    lines = list[str]()
-    known = {(topic, path.rpartition("[")[0] if ":" in path else path) for topic, path in read}
-    unread = [array for at, array in found.arrays.items() if at not in known]
-    arrays = [array for array in unread if array.topic in found.unknown]
-    if arrays:
-        lines.append(
-            "# Found in messages of types that are not known here, and not used. As taxels, under skin:"
-        )
-        lines.append(
-            '#   thumb_tip: {frame: LINK, taxels or file or layout: ..., topic: "/TOPIC", field: "PATH"}'
-        )
-        lines.append(
-            '# As joint states, under topics: {joint_states: {topic: "/TOPIC", field: "PATH", names: [...]}}'
-        )
-    lines += [f"#   {array}" for array in arrays[:MOST_UNUSED]]
-    if len(arrays) > MOST_UNUSED:
-        lines.append(f"#   and {len(arrays) - MOST_UNUSED} more")
-    for topic in sorted(found.unread):
-        kind = found.types[topic]
-        lines.append(f"# Not read: {topic}, as the recording lacks the definition of {kind}: record as MCAP")
-    return lines
-
-
-def _skin(
-    file: Path, tips: "Mapping[str, GuessedTip]", found: "Survey", taxels: str | None
-) -> tuple[dict[str, dict[str, object]], list[str]]:
-    """Returns the rig's entries of tactile surfaces, and what was guessed of them.
-
-    They are those of the hand's URDF, else one at the end of each tip. `taxels`: as the command's option.
-    """
-    from handsight import se3
-    from handsight.messages.match import match_arrays, match_taxels, may_touch
-    from handsight.rig.layouts import known_places, said_places, tactile_sensors
-
-    sensors = tactile_sensors(file)
-    if sensors:
-        matched = match_taxels(found.types, list(sensors))
-        heard = {name: {key: matched[name][key] for key in ("topic", "field")} for name in matched}
-        skin = {name: {"urdf": name, "threshold": 0.1, **heard.get(name, {})} for name in sensors}
-        lines = [
-            f"skin {name}: of {entry.get('topic', 'a topic to fill in')}" for name, entry in skin.items()
-        ]
-        return skin, lines
-    places, lines = (known_places(), []) if taxels is None else said_places(taxels, Path())
-    touch = found.unknown | {topic for topic, kind in found.types.items() if may_touch(topic, kind)}
-    arrays = [array for array in found.arrays.values() if array.topic in touch]
-    entries = match_arrays(arrays, list(tips), places)
-    if not entries:
-        entries = match_taxels(found.types, list(tips))
-        paths = {(str(entry["topic"]), str(entry["field"])) for entry in entries.values()}
-        if {topic for topic, _ in paths} <= found.unknown and not paths & found.arrays.keys():
-            entries = {}  # of another type of that name
-    skin = {}
-    for name, entry in entries.items():
-        tip = tips[name.partition("_")[0]]
-        T = tip.T_link_surface
-        pose = se3.position_quaternion(T) | {"position": T[:3, 3] + tip.radius * T[:3, 2]}
-        surface = name if "_" in name else f"{name}_tip"
-        skin[surface] = {"frame": tip.link, **({} if "file" in entry else {"pose": pose}), **entry}
-        of = f"{entry['field']} on {entry['topic']}"
-        grid = "{rows} x {columns}".format(**entry) if "rows" in entry else "it is"
-        layout = entry.get("layout") or entry.get("file") or grid
-        lines.append(f"skin {surface}: {of}, by its length laid out as {layout}")
-    return skin, lines
+    with contextlib.ExitStack() as opened:
+        return survey([opened.enter_context(contextlib.closing(each)) for each in open_files(recording)])
 
 
 @rig_app.command()
@@ -325,7 +170,8 @@ def check(
     ```
 
     The exit code is 1 if the recording lacks something that tracking needs, a sensor's readings cannot be used, a
-    mistake explains what does not fit, a finger was loaded but never touched, or no finger ever touched anything.
+    mistake explains what does not fit, a finger was loaded but never touched, or no finger ever touched anything: each
+    is a line that begins with a dash. Lines that begin with `note:` do not change it.
     """
     from handsight.rig import Rig
     from handsight.rig.layouts import misplaced
@@ -339,29 +185,44 @@ def check(
         if cosine < INTO_FINGER:
             why = "the tip points into its finger: its +z must leave it (turn it by 180°)"
             wrong.append(f"fingers.{name}.surface: {why}")
-    _list(wrong)
     if recording is None:
-        raise typer.Exit(int(bool(wrong)))
+        _end(wrong)
+        return
     model = None
-    why = ""
+    notes = list[str]()
     try:
         model = Run.of(recording, rig, object).model
+    except InvalidObject as error:
+        wrong.append(str(error))
     except InvalidInput as error:
-        why = str(error)
-    if _compare(found, recording, model) or wrong:
-        raise typer.Exit(1)
+        notes.append(f"the contacts were not compared with an object: {error}")
+    compared = _compare(found, recording, model)
+    _end(wrong + compared.wrong, compared.notes + notes)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
-    if why:
-        typer.echo(printable(f"The contacts were not compared with an object: {why}"))
 
 
-def _list(sentences: "Iterable[str]") -> None:
-    for sentence in sentences:
+def _end(wrong: "Sequence[str]", notes: "Sequence[str]" = ()) -> None:
+    """Prints what must be changed, and notes, which need not be; ends the command where there is something wrong."""
+    for sentence in wrong:
         typer.echo(printable(f"- {sentence}"))
+    for sentence in notes:
+        typer.echo(printable(f"note: {sentence}"))
+    if wrong:
+        raise typer.Exit(FAILED)
 
 
-def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
-    """Prints what a recording lacks for a rig, and which mistakes explain what is wrong; returns whether any is."""
+class Compared(NamedTuple):
+    """What a recording tells of a rig."""
+
+    wrong: list[str]
+    """What must be changed, in sentences."""
+    notes: list[str]
+    """What a user may want to know."""
+
+
+def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> Compared:
+    """Returns what a recording lacks for a rig, which mistakes explain what is wrong, and what is only noted."""
+    from handsight.messages.first_rig import NO_SENSOR
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
     from handsight.tracking.fingertips import FingertipSensors
@@ -391,8 +252,7 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
                 excerpt.put(observation, touched=bool(touch.fingers))
         lacking = [*opened.lacks(), *sensors.sentences(), *opened.report.sentences()]
     if not placed:  # what follows from that is not said
-        _list(lacking)
-        return True
+        return Compared(lacking, [])
     pressed = {rig.skin[name].frame for name in sensors.touched}
     touched |= {finger for finger, of in rig.fingers.items() if of.frame in pressed}
     untouched = list[str]()
@@ -409,8 +269,10 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
         lacking.append(NO_SENSOR)
     elif not (touched or lacking or untouched):
         lacking.append("no finger ever touched anything")
-    _list([*lacking, *sensors.remarks(), *untouched, *mistakes, *filter(None, [unexplained])])
-    return bool(lacking or mistakes or not touched)
+    notes = [*sensors.remarks(), *filter(None, [unexplained])]
+    if touched:
+        return Compared([*lacking, *mistakes], [*notes, *untouched])
+    return Compared([*lacking, *untouched, *mistakes], notes)
 
 
 @calibrate_app.command("camera")
@@ -426,18 +288,15 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     handsight calibrate camera turned.mcap --rig robot.yaml
     ```
     """
-    from handsight.recording import open_recording
     from handsight.rig.save import pose_text
-    from handsight.tracking import Tracker
     from handsight.tracking.camera_calibration import LITTLE_TURN, HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     run = Run.of(recording, rig, object)
-    tracker = Tracker(run.rig, run.model)
     tally = Tally()
-    views = HandViews(run.rig)
     touched = None
-    with open_recording(recording, run.rig) as opened, kept_going() as end:
+    with run.opened() as (opened, tracker), kept_going() as end:
+        views = HandViews(tracker.rig)
         for touched in calibrations(views.watched(opened.observations()), tracker, tally):  # noqa: B007 - the last one
             pass
     seen = views.calibration()
@@ -464,7 +323,18 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     if end.exit_code:
         raise typer.Exit(end.exit_code)
     if found is None:
-        raise InvalidInput(f"{recording}: expected an object that is held and visible, got none")
+        raise InvalidInput(f"{recording}: {_why_no_camera(tracker)}")
+
+
+def _why_no_camera(tracker: "Tracker") -> str:
+    """Returns why the camera of a recording could not be calibrated."""
+    camera = tracker.rig.camera
+    topics = tracker.rig.topics
+    if camera is not None and camera.intrinsics is None and topics.vision is None:
+        info = "no CameraInfo" if topics.camera_info is None else f"no CameraInfo on {topics.camera_info}"
+        return f"expected the camera's intrinsics in the rig or the recording, got {info}"
+    held = "expected an object that is held and visible, got none"
+    return f"{held}: {tracker.reason}" if tracker.reason else held
 
 
 @calibrate_app.command("sensors")

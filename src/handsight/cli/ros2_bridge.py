@@ -7,14 +7,17 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from handsight.cli.options import ObjectName, Rate
+from handsight.cli.options import ObjectName
 from handsight.cli.terminal import announce_compiling, say
 
 
 def ros2_bridge(
     rig: Annotated[Path, Argument(help="Rig file of the robot.")],
     object: ObjectName = None,
-    rate: Rate = None,
+    rate: Annotated[
+        float | None,
+        Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
+    ] = None,
     images: Annotated[
         bool, Option(help="Find the object in the depth images, if the rig names their topic.")
     ] = True,

@@ -1,5 +1,6 @@
 """`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Iterable
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from handsight.cli.options import DEPTH_CAMERAS, refuse, rig_beside
+from handsight.cli.options import refuse, rig_beside
 from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput, NotFound
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from handsight.rig import Rig
     from handsight.search import Belief
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
+    from handsight.simulation.grasp_search import GraspSearchResult
 
 BEGINS = 1000.0
 """Stamp of a recording's first observation [s]; not 0, as a stamp of 0 means that a robot does not know the time."""
@@ -55,9 +57,6 @@ def simulate(
             "kind of taxels: `xela`, `paxini`, `inspire`.",
         ),
     ] = "wrench",
-    depth_camera: Annotated[
-        str, Option(metavar="KIND", help=f"How the camera measures depth: {DEPTH_CAMERAS}.")
-    ] = "structured_light",
     world: Annotated[
         str,
         Option(
@@ -79,14 +78,6 @@ def simulate(
             help="Rig file of your own hand, with a force/torque sensor in each fingertip. Default: a Shadow hand."
         ),
     ] = None,
-    joints: Annotated[
-        str,
-        Option(
-            metavar="driven|all",
-            help="Joints that are measured: driven, those with a motor, as drivers of hands with coupled joints "
-            "publish them; or all.",
-        ),
-    ] = "driven",
     blind: Annotated[
         bool,
         Option(
@@ -106,7 +97,7 @@ def simulate(
     The hand is the Shadow hand, or any URDF or MJCF hand of a --rig: its grasps are searched as well, nothing is known
     of it but its file and its fingertips. Joints have position servos of 3 N m/rad. Coupled ones follow those that they
     are coupled to, each off by a constant angle of the size that the rig states (`coupled_joint_deg`), and are not
-    measured, but with `--joints all`. Camera, table and world are the simulation's. Where no grasp holds, the reasons
+    measured. Camera, table and world are the simulation's. Where no grasp holds, the reasons
     are printed, and the exit code is 1.
 
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
@@ -135,7 +126,7 @@ def simulate(
     """
     from handsight.files import text_file
     from handsight.rig import Rig
-    from handsight.simulation import Nuisances, Scenario, constant_errors, read_grasp
+    from handsight.simulation import Nuisances, Scenario, constant_errors, read_grasp, write_grasp
     from handsight.simulation.scene import scene
     from handsight.simulation.world import coupling_errors
 
@@ -154,22 +145,25 @@ def simulate(
             force_noise=max(finger.sigma_force for finger in fingers),
             torque_noise=max(finger.sigma_torque for finger in fingers),
         )
-    fields: dict[str, Any] = {"motion": motion, "joints": joints}
-    fields |= {"depth_camera": depth_camera, "sensors": sensors}
     drawn = nuisances(nuisance or [], start)
-    scenario = Scenario(
-        object=object, seed=seed, nuisances=drawn, images=images, skin=skin, rig=own, **fields
-    )
+    kinds: dict[str, Any] = {"motion": motion, "sensors": sensors}
+    scenario = Scenario(object=object, seed=seed, nuisances=drawn, images=images, skin=skin, rig=own, **kinds)
     if blind:
         refuse("--blind", images=images, sensors=sensors != "wrench", rig=own)
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
+    searched = None
     if grasp is None:
-        used = search(scenario, path)
+        searched = search(scenario)
+        used = searched.grasp
     else:
         used = read_grasp(grasp, scene(scenario.object, rig=own).hand.grasping if own else None)
     samples, dropped = record(scenario, path, used, blind=blind)
+    if searched is not None and searched.trials:  # the grasp is not built in
+        beside = path.with_suffix(".grasp.json")
+        write_grasp(searched, scenario.object, beside)
+        say(f"wrote {beside}: {_described(searched)}")
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
@@ -185,24 +179,21 @@ def simulate(
         say("the object has slipped out of the grasp; another --seed may hold it")
 
 
-def search(scenario: "Scenario", path: Path) -> "Grasp":
-    """Returns a grasp of the scenario's object; one that was searched for is written beside the recording `path`.
-
-    Raises NotFound where no grasp of a rig's own hand holds.
-    """
-    from handsight.simulation import find_grasp, write_grasp
+def search(scenario: "Scenario") -> "GraspSearchResult":
+    """Returns a grasp of the scenario's object; raises NotFound where no grasp of a rig's own hand holds."""
+    from handsight.simulation import find_grasp
 
     with bar("searching a grasp") as advance:
         found = find_grasp(scenario, advance)
     if scenario.rig is not None and not found.succeeded:
         raise NotFound(f"{scenario.object}: no grasp holds it; of {found.trials} tried: {found.failures}")
-    if found.trials:  # the grasp is not built in
-        beside = path.with_suffix(".grasp.json")
-        write_grasp(found, scenario.object, beside)
-        before = f" ({found.failures})" if found.failures else ""
-        end = "the last one holds" if found.succeeded else "none holds, this one did longest"
-        say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
-    return found.grasp
+    return found
+
+
+def _described(found: "GraspSearchResult") -> str:
+    before = f" ({found.failures})" if found.failures else ""
+    end = "the last one holds" if found.succeeded else "none holds, this one did longest"
+    return f"{found.hold}; of {found.trials} grasps tried {end}{before}"
 
 
 def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nuisances":
@@ -235,7 +226,7 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool) -> 
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
     `blind`: a finger searches for the object first, and each touch is reported. The rig is written beside the
-    recording. After Ctrl-C or an error, the part until then is kept.
+    recording. After Ctrl-C or an error both are as they were before.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -250,11 +241,10 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool) -> 
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: spec})
     samples = 0
     dropped = False
-    with (
-        RecordingWriter(path, rig) as writer,
-        bar("simulating") as advance,
-    ):
-        write_rig(rig, rig_beside(path))
+    with contextlib.ExitStack() as stack:
+        writer = RecordingWriter(path, rig)
+        stack.callback(writer.discard)
+        advance = stack.enter_context(bar("simulating"))
         searched = simulate_touch_search(scenario, grasp, say_touch)
         for sample in searched if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
@@ -264,6 +254,8 @@ def record(scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool) -> 
                 write_slips(writer, observation.stamp, sample, rig)
             samples += 1
             dropped = sample.dropped
+        writer.close()
+        write_rig(rig, rig_beside(path))
     return samples, dropped
 
 

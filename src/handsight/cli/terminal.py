@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from handsight.errors import HandsightError, InvalidInput, NotFound, NotWritten, printable
-from handsight.files import check_not_overwritten, stream_name, write_errors
+from handsight.files import check_not_overwritten, growing_file, part_of, stream_name, write_errors
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -69,13 +69,21 @@ def discard(stream: IO[str]) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def announce_compiling() -> None:
-    """Makes a terminal show which kernel is being compiled, a line that goes again; all take minutes."""
-    if sys.stderr.isatty():
-        from handsight._kernels.jit import on_compile
+def announce_compiling(*, aloud: bool = False) -> None:
+    """Makes a terminal show which kernel is being compiled, a line that goes again; all take minutes.
 
-        text = "compiling handsight's kernels, once on this machine: "
-        on_compile[:] = [lambda name: os.write(2, f"\r\x1b[2K{name and text + name}".encode())]
+    `aloud`: without a terminal, that kernels are being compiled is said once.
+    """
+    on_terminal = sys.stderr.isatty()
+    if not (on_terminal or aloud):
+        return
+    from handsight._kernels.jit import on_compile
+
+    text = "compiling handsight's kernels, once on this machine"
+    if on_terminal:
+        on_compile[:] = [lambda name: os.write(2, f"\r\x1b[2K{name and f'{text}: {name}'}".encode())]
+    else:
+        on_compile[:] = [lambda _: warn(f"{text}; this takes a minute or two")]
 
 
 def check_outputs(answers: Path | None, picture: Path | None, *read: object) -> None:
@@ -162,42 +170,26 @@ def is_stdout(path: Path | None) -> bool:
 
 @contextlib.contextmanager
 def output_lines(path: Path | None) -> Iterator[Callable[[Iterable[str]], None]]:
-    """Yields a function that writes lines at once, to a new text file or to stdout; raises NotWritten.
+    """Yields a function that writes lines at once, to a `growing_file` or to stdout; raises NotWritten."""
+    to_file = path is not None and not is_stdout(path)
+    opened = growing_file(path) if path is not None and to_file else contextlib.nullcontext(sys.stdout)
+    with opened as stream:
+        name = str(path) if to_file else stream_name(stream)
 
-    The file is `part_of(path)` while it grows. It gets its name at the end, whatever the reason, unless it could not be
-    written: its last line may be cut.
-    """
-    stream: IO[str] = sys.stdout
-    name = stream_name(stream)
+        def write(lines: Iterable[str]) -> None:
+            with write_errors(name):
+                stream.writelines(f"{line}\n" for line in lines)
+                stream.flush()
 
-    def write(lines: Iterable[str]) -> None:
-        with write_errors(name):
-            stream.writelines(f"{line}\n" for line in lines)
-            stream.flush()
-
-    if path is None or is_stdout(path):
         yield write
-        return
-    name = str(path)
-    growing = part_of(path)
-    final = Path(os.path.realpath(path))
-    complete = True
-    with write_errors(path):
-        try:
-            with open(growing, "w", encoding="utf-8") as stream:
-                yield write
-        except (OSError, NotWritten):
-            complete = False
-            raise
-        finally:
-            if complete and growing != final:
-                growing.replace(final)
 
 
-def part_of(path: Path) -> Path:
-    """Returns the name of a file while it grows: PATH.part; a pipe or a device has no other name."""
-    real = Path(os.path.realpath(path))
-    return real if real.exists() and not real.is_file() else real.with_name(f"{real.name}.part")
+def kept_in(path: Path | None) -> str:
+    """Returns the end of a sentence about lines that are not complete: where those are that were written."""
+    if path is None or is_stdout(path):
+        return "; they are written"
+    part = part_of(path)
+    return f"; they are in {part}" if part.exists() else ""
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ import typer
 from typer import Option
 
 from handsight.cli import options
-from handsight.cli.options import Run, tracker_settings
+from handsight.cli.options import Run
 from handsight.cli.terminal import FAILED, End, bar, kept_going, millimetres, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import text_file, write_errors
@@ -40,8 +40,6 @@ def track(
         Path | None,
         Option(help="Folder for the results. Default: RECORDING-track in the current folder."),
     ] = None,
-    rate: options.Rate = None,
-    outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
 ) -> None:
     """Track an object in the hand through a recording.
@@ -56,15 +54,16 @@ def track(
     handsight simulate can --output can.mcap
     handsight track can.mcap
     handsight simulate can --images --output seen.mcap && handsight track seen.mcap
-    handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
+    handsight track grasp.bag --rig robot.yaml --object mustard.ply --output-folder results
     ```
 
-    After an error or Ctrl-C, the track until then is written. The exit code is 0 only if the recording was tracked to
-    its end and there is at least one pose.
+    After an error or Ctrl-C, the track until then is written, if it has a pose; else earlier results stay. The exit
+    code is 0 only if the recording was tracked to its end and there is at least one pose.
     """
     from handsight.recording.track_log import TrackLog
+    from handsight.tracking import TrackerSettings
 
-    settings = tracker_settings(rate=rate, outside=outside, images=images)
+    settings = TrackerSettings(images=images)
     run = Run.of(recording, rig, object, settings)
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with TrackLog() as log:
@@ -73,7 +72,8 @@ def track(
         wrote = list[str]()
         try:
             # Before anything is printed, so that Ctrl-C while printing does not cost the results.
-            wrote.extend(write(result, run, folder, log))
+            if result.tally.answered or not result.ends:
+                wrote.extend(write(result, run, folder, log))
         finally:
             say(*result.messages, *result.sentences(), *wrote)
             if result.estimates:

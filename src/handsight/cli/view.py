@@ -8,7 +8,7 @@ import typer
 from typer import Option
 
 from handsight.cli import options
-from handsight.cli.options import Run, tracker_settings
+from handsight.cli.options import Run
 from handsight.cli.terminal import FAILED, say
 from handsight.cli.track import refusals
 from handsight.errors import HandsightError, InvalidInput
@@ -18,8 +18,6 @@ def view(
     recording: options.RecordingPath,
     rig: options.RigPath = None,
     object: options.ObjectName = None,
-    rate: options.Rate = None,
-    outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
     port: Annotated[
         int, Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
@@ -38,11 +36,12 @@ def view(
     """
     from handsight.messages import OwnTopic
     from handsight.recording.open import open_files
+    from handsight.tracking import TrackerSettings
     from handsight.tracking.replay import Tally, replay
     from handsight.viewer.player import Player, require_viser
 
     require_viser()
-    settings = tracker_settings(rate=rate, outside=outside, images=images)
+    settings = TrackerSettings(images=images)
     with contextlib.suppress(KeyboardInterrupt):
         # A `track.mcap`, which has only poses, is a result and not a recording.
         is_mcap = recording.suffix == ".mcap" and recording.is_file()

@@ -1,6 +1,7 @@
 """Writers: observations to an MCAP file for ROS 2, Foxglove and `open_recording`; tracked poses to MCAP, TUM or CSV."""
 
 import csv
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
@@ -25,17 +26,18 @@ from handsight.rig import Rig
 
 
 class McapFile:
-    """An MCAP file with zstd chunks, open for writing; it appears at `path` when it is closed."""
+    """An MCAP file with zstd chunks, open for writing; it appears at `path` when it is closed, after an error not."""
 
     def __init__(self, path: Path) -> None:
         """Raises InvalidFile where nothing can be written, MissingExtra without rosbags."""
         self._store, rosbag2 = typestore("cdr"), rosbags_module("rosbags.rosbag2")
         self._path = path
-        if path.is_dir():
+        final = Path(os.path.realpath(path))  # a link stays one
+        if final.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
         with write_errors(path):
             # rosbags writes a folder with the file in it. In the same parent folder, so a rename is enough.
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+            self._folder = Path(tempfile.mkdtemp(prefix=f".{final.name}-", dir=final.parent))
             plugin = rosbag2.StoragePlugin.MCAP
             mode = rosbag2.CompressionMode.STORAGE
             self._writer = rosbag2.Writer(self._folder / "bag", version=9, storage_plugin=plugin)
@@ -56,26 +58,37 @@ class McapFile:
 
     def close(self) -> None:
         """Completes the file and moves it to `path`; a second call does nothing."""
+        self._end(keep=True)
+
+    def discard(self) -> None:
+        """Ends the writing, and leaves `path` as it was; does nothing once the file is closed."""
+        self._end(keep=False)
+
+    def _end(self, *, keep: bool) -> None:
         if not self._open:
             return
         self._open = False
         try:
             with write_errors(self._path):
                 self._writer.close()
-                (self._folder / "bag" / "bag.mcap").replace(self._path)
+                if keep:
+                    (self._folder / "bag" / "bag.mcap").replace(os.path.realpath(self._path))
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Closes the file, after an error too, so that the messages until then are kept."""
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Closes the file; discards it after an error."""
+        self._end(keep=kind is None)
 
 
 class RecordingWriter(McapFile):
-    """An MCAP file of a rig's observations, with the rig's topics and frame ids."""
+    """An MCAP file of a rig's observations, with the rig's topics and frame ids.
+
+    At the end of a `with` block it is closed after an error or Ctrl-C too, so that the messages until then are kept.
+    """
 
     def __init__(self, path: str | Path, rig: Rig) -> None:
         """The file appears at `path` when it is closed, in place of an older one.
@@ -90,6 +103,9 @@ class RecordingWriter(McapFile):
             )
         super().__init__(Path(path))
         self._rig = rig
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def write(self, observation: Observation) -> None:
         """Appends all messages of an observation, with its stamp as log time.

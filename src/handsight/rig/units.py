@@ -7,13 +7,17 @@ from math import hypot
 import numpy as np
 
 from handsight import checks
-from handsight.errors import InvalidInput
+from handsight.errors import InvalidInput, InvalidObject
+from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig.rig import Rig
 
 MAX_RANGE = 10
 MAX_FORCE = 300
 """From a camera or the palm to the object [m], and on a fingertip [N]; above that, the unit seems to be wrong."""
+LARGEST_HELD = 20
+LEAST_REACH = 0.1
+"""An object is at most so many times as large as the hand's reach, which is at least that [m]."""
 MIN_SHARE = 0.1  # of a recording's observations with such values; fewer are outliers
 
 
@@ -105,6 +109,28 @@ class Units:
                 yield self._topics.vision, "poses", distance, text
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each kind of value that was often above its limit."""
+        """Returns a sentence for each kind of value that was often above its limit, such as for all joints one."""
         often = [what for what, count in self._beyond.items() if count >= MIN_SHARE * self._count]
-        return [f"{what} up to {self._largest[what][1]}" for what in often]
+        kinds = dict[str, list[str]]()
+        for what in often:
+            kinds.setdefault(what.rpartition(" ")[0], []).append(what)
+        sentences = list[str]()
+        for alike in kinds.values():
+            worst = max(alike, key=lambda what: self._largest[what][0])
+            others = f"; and {len(alike) - 1} more like that" if len(alike) > 1 else ""
+            sentences.append(f"{worst} up to {self._largest[worst][1]}{others}")
+        return sentences
+
+
+def check_held(rig: Rig, model: ObjectModel) -> None:
+    """Raises InvalidObject for an object of a size that the rig's hand cannot hold, as of one in another unit."""
+    hand = rig.hand
+    at_zero = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
+    tips = hand.Ts_palm_tip(at_zero)[:, :3, 3]
+    reach = float(np.linalg.norm(tips, axis=1).max(initial=0.0))
+    largest = LARGEST_HELD * max(reach, LEAST_REACH)
+    if model.diameter > largest:
+        expected = f"expected an object of at most {largest:.2g} m, which the hand can hold"
+        raise InvalidObject(
+            f"object {model.name!r}: {expected}, got {model.diameter:.4g} m: in another unit? (scale)"
+        )

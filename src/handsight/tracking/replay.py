@@ -152,10 +152,12 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
 def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[ObjectWeight | None, str]:
     """Returns the weighing that measures the centre of mass in the object best, and an empty reason.
 
-    Where no weighing can be trusted, returns None and the reason. The tracker's model must have no centre of mass: a
-    known one corrects the pose, and would come out again as if it had been measured.
+    Where gravity had one direction only, returns the weighing that measures the mass best, and why its centre of mass
+    is not measured; where no weighing can be trusted, None and the reason. The tracker's model must have no centre of
+    mass: a known one corrects the pose, and would come out again as if it had been measured.
     """
     best: ObjectWeight | None = None
+    surest: ObjectWeight | None = None
     reason = "the object was never in the air"
     for _ in replay(observations, tracker, Tally()):
         found = tracker.weight
@@ -163,8 +165,16 @@ def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[
             continue
         if found.reason:
             reason = found.reason
-        elif found.directions < 2:  # along a single one, loads do not measure the centre's height
-            reason = "gravity had one direction in the palm all the time: tilt the hand by 20° about two axes"
-        elif best is None or np.trace(found.covariance) < np.trace(best.covariance):
+            continue
+        if surest is None or found.sigma_mass < surest.sigma_mass:
+            surest = found
+        measures_center = (
+            found.directions >= 2
+        )  # along a single one, loads do not measure the centre's height
+        if measures_center and (best is None or np.trace(found.covariance) < np.trace(best.covariance)):
             best = found
-    return best, "" if best is not None else reason
+    if best is not None:
+        return best, ""
+    if surest is not None:
+        reason = "gravity had one direction in the palm all the time: tilt the hand by 20° about two axes"
+    return surest, reason

@@ -15,7 +15,7 @@ from handsight.forces import ObjectWeight, Slip
 from handsight.objects import ObjectModel
 from handsight.observation import MAX_JUMP, Observation, check_observation
 from handsight.rig import Rig
-from handsight.rig.units import Units
+from handsight.rig.units import Units, check_held
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
@@ -73,6 +73,7 @@ class Tracker:
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
             raise InvalidInput(f"tracker: expected a Rig and an ObjectModel, got {came}")
+        check_held(rig, model)
         for name, given, kind in (
             ("start", start, PosePrior),
             ("settings", settings, TrackerSettings),

@@ -15,7 +15,7 @@ from handsight.contact import Contacts
 from handsight.correction import PosePrior
 from handsight.correction.estimate import point_uncertainty
 from handsight.errors import HandsightError, needing
-from handsight.files import write_errors
+from handsight.files import binary_file
 from handsight.objects import ObjectModel
 from handsight.viewer.shapes import SLIP, STATES, grey, middle, open_direction, silhouette
 
@@ -66,9 +66,9 @@ def save(figure: "Figure", path: Path) -> None:
     labels = list(labelled)
     columns = 7 if max(map(len, labels), default=0) < 20 else 4
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), columns))
-    with write_errors(path):
+    with binary_file(path) as file:
         try:
-            figure.savefig(path, dpi=130)
+            figure.savefig(file, dpi=130, format=path.suffix[1:] or None)
         except ValueError as error:
             raise HandsightError(f"{path}: {error}") from None
 

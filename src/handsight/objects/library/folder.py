@@ -59,7 +59,7 @@ def new_object(
     doubts = unit_remarks(float(np.ptp(model.bounds_object, axis=0).max()))
     if doubts and not force:
         raise InvalidInput(
-            f"{path.name}: expected an object for a hand, got one of {doubts[0]} (force adds it)"
+            f"{path.name}: expected an object for a hand, got one of {doubts[0]} (in Python, force=True adds it)"
         )
     if path.suffix.lower() == ".ply" and scale == METRES:
         data = content(path)

@@ -148,23 +148,30 @@ class Library:
         self._source.add(*new_object(file, facts, scale, symmetries, force))
         return self.entry(facts.name)
 
-    def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
+    def weigh(
+        self,
+        name: str,
+        mass: float,
+        center_of_mass: Array | None = None,
+        sigma_center_of_mass: float | None = None,
+    ) -> Entry:
         """Writes an object's mass [kg], its centre of mass (3,) [m], and the standard deviation of that per axis [m].
 
-        Returns the entry; its other facts stay. Raises InvalidInput for an object that was not added with a name, for a
-        library at a URL, and for a centre outside the object; NotWritten.
+        Without a centre, only the mass. Returns the entry; its other facts stay. Raises InvalidInput for an object that
+        was not added with a name, for a library at a URL, and for a centre outside the object; NotWritten.
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to write to, got a URL")
         entry = self.entry(name)
         if entry.facts is None:
             raise InvalidInput(f"name: expected an object that was added with a name, got {entry.name!r}")
-        facts = msgspec.structs.replace(
-            entry.facts,
-            mass=round(mass, 6),
-            center_of_mass=tuple(np.round(center_of_mass, 6).tolist()),
-            sigma_center_of_mass=round(float(sigma_center_of_mass), 6),
-        )
+        facts = msgspec.structs.replace(entry.facts, mass=round(mass, 6))
+        if center_of_mass is not None and sigma_center_of_mass is not None:
+            facts = msgspec.structs.replace(
+                facts,
+                center_of_mass=tuple(np.round(center_of_mass, 6).tolist()),
+                sigma_center_of_mass=round(float(sigma_center_of_mass), 6),
+            )
         check_inside(facts, self.model(name))
         self._source.revise(entry.number, facts)
         return self.entry(name)
