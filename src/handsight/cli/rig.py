@@ -364,8 +364,9 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
     """Prints what a recording lacks for a rig, and which mistakes explain what is wrong; returns whether any is."""
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
+    from handsight.tracking.consistency import Excerpt
     from handsight.tracking.fingertips import FingertipSensors
-    from handsight.tracking.mistakes import Excerpt, find_mistakes
+    from handsight.tracking.mistakes import find_mistakes
 
     tips = FingertipSensors(rig)
     sensors = SensorFaults(rig)
@@ -409,7 +410,7 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> bool:
         lacking.append(NO_SENSOR)
     elif not (touched or lacking or untouched):
         lacking.append("no finger ever touched anything")
-    _list([*lacking, *sensors.remarks(), *untouched, *mistakes, *filter(None, [unexplained])])
+    _list([*lacking, *sensors.remarks(), *untouched, *map(str, mistakes), *filter(None, [unexplained])])
     return bool(lacking or mistakes or not touched)
 
 
