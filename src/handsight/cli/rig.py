@@ -355,6 +355,19 @@ def check(
         typer.echo(printable(f"The contacts were not compared with an object: {why}"))
 
 
+@rig_app.command()
+def schema() -> None:
+    """Print every key of a rig file as Markdown: its values, its bounds, and what it means.
+
+    ```
+    handsight rig schema
+    ```
+    """
+    from handsight.rig.schema import schema as reference
+
+    typer.echo(reference(), nl=False)
+
+
 def _list(sentences: "Iterable[str]") -> None:
     for sentence in sentences:
         typer.echo(printable(f"- {sentence}"))
