@@ -20,9 +20,12 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 from handsight.rig.save import pose_text
-from handsight.tracking.consistency import CHECKS, OBJECT, TURNS, WEIGHT, Change, Excerpt, Reading
+from handsight.tracking.consistency import CHECKS, GRAVITY, OBJECT, TURNS, WEIGHT, Change, Excerpt, Reading
 
 MARGIN = 0.15  # the measure must be lower by so much: right rigs differ by less from seed to seed
+UNWEIGHED = 0.35
+"""The same where nothing is weighed in the air. Forces of an unfinished rig are not in balance, as other links push
+too, and a finger of the other sign lowered it by 0.3; planted mistakes lower it by 0.5 and more."""
 LIKELIER = 0.02  # of mistakes whose measures differ by less, the first one is the likelier
 MOST = 3  # mistakes of different kinds that are named
 G = 9.80665e-3  # a gram-force [N]
@@ -167,7 +170,7 @@ def _explained(
 ) -> tuple[Mistake, Reading] | None:
     """Returns the mistake that explains most, and the reading without it; None where none explains anything."""
     best = None
-    most = MARGIN
+    most = MARGIN if now.costs[GRAVITY] else UNWEIGHED
     at_most = np.nan_to_num(now.measures[CHECKS.index(OBJECT)])
     for mistake in mistakes:
         with contextlib.suppress(HandsightError):
