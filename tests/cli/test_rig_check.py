@@ -9,6 +9,7 @@ from cli.commands import called
 from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter
 from handsight.rig import Rig
+from handsight.rig.schema import schema
 
 HAND = """<robot name="two">
 <link name="palm"><visual><geometry><box size="0.08 0.08 0.02"/></geometry></visual></link>
@@ -186,6 +187,11 @@ def test_taxels_are_compared_with_their_links_mesh(check, monkeypatch, tmp_path,
     code = called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", columns=200)
     assert code == bool(told)
     assert (f"- skin pad: {told}" in capsys.readouterr().out) == bool(told)
+
+
+def test_the_reference_of_the_rig_file_is_printed(monkeypatch, tmp_path, capsys):
+    assert called(monkeypatch, tmp_path, "rig", "schema") == 0
+    assert capsys.readouterr().out == schema()
 
 
 def test_a_wrench_of_a_finger_without_a_sensor_is_refused(check, monkeypatch, tmp_path, capsys):

@@ -8,8 +8,9 @@ import pytest
 from handsight import se3
 from handsight.objects import ObjectModel
 from handsight.rig.save import pose_text
+from handsight.tracking.consistency import Excerpt
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.tracking.mistakes import T_BODY_OPTICAL, Excerpt, find_mistakes
+from handsight.tracking.mistakes import T_BODY_OPTICAL, find_mistakes
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
@@ -39,7 +40,7 @@ def excerpt_of(rig, observations):
 
 def said(excerpt, model=None):
     named, unexplained = find_mistakes(excerpt, model)
-    return [*named, unexplained] if unexplained else named
+    return [*map(str, named), *filter(None, [unexplained])]
 
 
 def found(rig, observations, model=None):
@@ -99,7 +100,7 @@ SWAPPED = {"ff": "mf", "mf": "ff"}
 IN_RIG = {
     "the other sign of the forces of all fingers": with_fingers(other_sign),
     "the other sign of the forces of th": with_fingers(other_sign, "th"),
-    "the tip of all fingers pointing along its -z": with_fingers(into_finger),
+    "the other direction of the tip of all fingers": with_fingers(into_finger),
     "gravity the other way": lambda rig: replace(rig, gravity=-rig.gravity),
 }
 FIRST = next(iter(IN_RIG))
@@ -174,6 +175,29 @@ def test_of_two_mistakes_both_are_named(recorded):
         "the other sign of the forces of th",
         "vision's quaternion as w, x, y, z",
     }
+
+
+@pytest.mark.parametrize("object", ["box", pytest.param("can", marks=pytest.mark.slow)])
+def test_the_same_mistake_of_several_fingers_is_one_with_all_their_lines(recorded, object):
+    rig, model, observations = recorded(object)
+    wrong = with_fingers(other_sign, "ff", "mf", *(["rf", "lf"] if object == "can" else []))(rig)
+    [found], unexplained = find_mistakes(excerpt_of(wrong, observations), model)
+    meant = {
+        name: f"fingers.{name}.sensor.reading: {finger.calibration.reading}"
+        for name, finger in rig.fingers.items()
+        if finger.calibration != wrong.fingers[name].calibration
+    }
+    assert found.fixes == meant
+    assert not unexplained
+
+
+def test_a_camera_that_is_far_off_is_no_other_mistake(recorded):
+    rig, model, observations = recorded("box")
+    shift = se3.compose(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    wrong = camera(lambda T: T @ shift)(rig)
+    found, unexplained = find_mistakes(excerpt_of(wrong, observations), model)
+    assert found == []
+    assert "calibrate the camera" in unexplained
 
 
 def test_what_no_mistake_explains_is_said(recorded):

@@ -11,7 +11,8 @@ from handsight.contact import Sphere, TactileSurface
 from handsight.hand import Hand
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig, Topics
-from handsight.tracking.mistakes import Excerpt, find_mistakes
+from handsight.tracking.consistency import Excerpt
+from handsight.tracking.mistakes import find_mistakes
 
 pytest.importorskip("mujoco")
 NAMES = "index", "middle", "thumb"
@@ -75,7 +76,7 @@ def said(rig, observations):
     for observation in observations:
         excerpt.put(observation, touched=False)
     named, unexplained = find_mistakes(excerpt)
-    return [*named, *filter(None, [unexplained])]
+    return [*map(str, named), *filter(None, [unexplained])]
 
 
 def shear(turn, reading):
@@ -92,11 +93,11 @@ def each(change, names=NAMES):
 
 
 WRONG = {
-    "the other sign of the taxels' shear": each(partial(shear, [[-1, 0], [0, -1]])),
-    "the other sign of the taxels' shear along y": each(partial(shear, [[1, 0], [0, -1]])),
-    "the taxels' x turned by 90°": each(partial(shear, [[0, 1], [-1, 0]])),
-    "the taxels' x turned by -90°": each(partial(shear, [[0, -1], [1, 0]])),
-    "the taxels' x and y exchanged": each(partial(shear, [[0, 1], [1, 0]])),
+    "the other sign of the taxels' shear of all fingers": each(partial(shear, [[-1, 0], [0, -1]])),
+    "the other sign of the taxels' shear along y of all fingers": each(partial(shear, [[1, 0], [0, -1]])),
+    "the taxels' x turned by 90° of all fingers": each(partial(shear, [[0, 1], [-1, 0]])),
+    "the taxels' x turned by -90° of all fingers": each(partial(shear, [[0, -1], [1, 0]])),
+    "the taxels' x and y exchanged of all fingers": each(partial(shear, [[0, 1], [1, 0]])),
     "the other sign of the taxels' shear of thumb": each(partial(shear, [[-1, 0], [0, -1]]), ["thumb"]),
     "the taxels' x turned by 90° of thumb": each(partial(shear, [[0, 1], [-1, 0]]), ["thumb"]),
 }
@@ -116,3 +117,14 @@ def test_a_wrong_sign_turn_or_order_of_taxels_is_named(rig, observations, what):
     sentences = said(rig, map(WRONG[what], observations))
     assert len(sentences) == 1, sentences
     assert sentences[0].startswith(f"{what} fits better")
+
+
+@pytest.mark.parametrize("wrong", [["thumb"], ["index", "thumb"], NAMES])
+def test_taxels_that_read_less_where_they_are_pressed_are_named(rig, observations, wrong):
+    excerpt = Excerpt(rig)
+    for observation in map(each(np.negative, wrong), observations):
+        excerpt.put(observation, touched=False)
+    [found], unexplained = find_mistakes(excerpt)
+    assert found.what == "the other sign of the taxels' readings"
+    assert set(found.fixes) == set(wrong)
+    assert not unexplained

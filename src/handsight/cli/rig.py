@@ -201,6 +201,19 @@ def check(
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
 
 
+@rig_app.command()
+def schema() -> None:
+    """Print every key of a rig file as Markdown: its values, its bounds, and what it means.
+
+    ```
+    handsight rig schema
+    ```
+    """
+    from handsight.rig.schema import schema as reference
+
+    typer.echo(reference(), nl=False)
+
+
 def _end(wrong: "Sequence[str]", notes: "Sequence[str]" = ()) -> None:
     """Prints what must be changed, and notes, which need not be; ends the command where there is something wrong."""
     for sentence in wrong:
@@ -225,8 +238,9 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> Compar
     from handsight.messages.first_rig import NO_SENSOR
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
+    from handsight.tracking.consistency import Excerpt
     from handsight.tracking.fingertips import FingertipSensors
-    from handsight.tracking.mistakes import Excerpt, find_mistakes
+    from handsight.tracking.mistakes import find_mistakes
 
     tips = FingertipSensors(rig)
     sensors = SensorFaults(rig)
@@ -263,7 +277,8 @@ def _compare(rig: "Rig", recording: Path, model: "ObjectModel | None") -> Compar
         for why, count in reasons[finger].most_common(1):
             untouched.pop()
             lacking.append(f"{text}: {count} readings of a load are {WHY_UNTOUCHED.get(why, why)}")
-    mistakes, unexplained = find_mistakes(excerpt, model)
+    explained, unexplained = find_mistakes(excerpt, model)
+    mistakes = [str(each) for each in explained]
     on_tips = {array.frame for array in rig.skin.values()} & {of.frame for of in rig.fingers.values()}
     if not (rig.topics.wrenches or rig.topics.contacts or on_tips):
         lacking.append(NO_SENSOR)

@@ -1,4 +1,4 @@
-"""The keys of a `rig.yaml`, each declared once: its type, its bounds, and the comment that is written beside it.
+"""The keys of a `rig.yaml`, each declared once: its type, its bounds, and its meaning, which is written beside it.
 
 docs/rig_file.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to; a
 field has the name of that part's attribute. Lengths are in metres, angles in degrees, forces in newtons. Every sigma is
@@ -34,9 +34,12 @@ VERSION = 1
 Values = dict[str, Any]
 
 
-def key(comment: str = "", *, metres: float = 0.0, kilograms: float = 0.0) -> Meta:
-    """Returns the annotation of a key: its comment, and bounds above which a length or a mass has the wrong unit."""
-    return Meta(description=comment or None, extra={"metres": metres, "kilograms": kilograms})
+class Metres(float):
+    """Bound of a length's absolute value, above which it is in another unit."""
+
+
+class Kilograms(float):
+    """Bound of a mass, above which it is in another unit."""
 
 
 class Key(NamedTuple):
@@ -49,6 +52,10 @@ class Key(NamedTuple):
     kind: object
     """The first type of its value that is not None, without annotations."""
     comment: str
+    """What it means."""
+    declared: object
+    """Its whole type, with its bounds."""
+    required: bool
     metres: float = 0.0
     kilograms: float = 0.0
 
@@ -58,11 +65,19 @@ def keys(form: type["Form"]) -> tuple[Key, ...]:
     """Returns the keys of a form in the order in which they are written."""
     declared = []
     for item in msgspec.structs.fields(form):
-        metas = getattr(item.type, "__metadata__", ())
-        extra = {name: value for meta in metas for name, value in (meta.extra or {}).items()}
-        comment = next((meta.description for meta in metas if meta.description), "")
-        kind = next(kind for kind in alternatives(item.type) if kind is not NoneType)
-        declared.append(Key(item.name, item.encode_name, kind, comment, **extra))
+        metas = {type(meta): meta for meta in getattr(item.type, "__metadata__", ())}
+        declared.append(
+            Key(
+                name=item.name,
+                text=item.encode_name,
+                kind=next(kind for kind in alternatives(item.type) if kind is not NoneType),
+                comment=metas.get(str, ""),
+                declared=item.type,
+                required=item.required,
+                metres=metas.get(Metres, 0.0),
+                kilograms=metas.get(Kilograms, 0.0),
+            )
+        )
     return tuple(declared)
 
 
@@ -108,8 +123,15 @@ Vector = tuple[float, float, float]
 
 
 class PoseForm(Form):
-    position: Annotated[Vector, key(metres=100)] = (0.0, 0.0, 0.0)
-    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Pose in the world or the palm."""
+
+    position: Annotated[Vector, "of its origin", Metres(100)] = (0.0, 0.0, 0.0)
+    quaternion_xyzw: Annotated[tuple[float, float, float, float], "its rotation, of any length"] = (
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -121,23 +143,27 @@ class PoseForm(Form):
 
 
 class LinkPoseForm(PoseForm):
-    """Pose on a link of a finger."""
+    """Pose on a link of the hand."""
 
-    position: Annotated[Vector, key(metres=0.5)] = (0.0, 0.0, 0.0)
+    position: Annotated[Vector, "of its origin in the link", Metres(0.5)] = (0.0, 0.0, 0.0)
 
 
 class HandForm(Section):
-    file: Annotated[Text, key("URDF or MJCF")]
-    palm: Text
-    sigma_joint_offset: Annotated[Angle | None, key("constant error of each joint angle")] = field(
+    """The hand's file, and how well its joints are known."""
+
+    file: Annotated[Text, "URDF or MJCF, by a path from the rig on or as package://"]
+    palm: Annotated[Text, "the link that poses are given in"]
+    sigma_joint_offset: Annotated[Angle | None, "constant error of each joint angle"] = field(
         name="joint_offset_deg", default=None
     )
-    sigma_joint: Angle | None = field(name="joint_noise_deg", default=None)
-    sigma_coupled: Annotated[Angle | None, key("of joints that follow others, not measured")] = field(
+    sigma_joint: Annotated[Angle | None, "from reading to reading"] = field(
+        name="joint_noise_deg", default=None
+    )
+    sigma_coupled: Annotated[Angle | None, "of joints that follow others, not measured"] = field(
         name="coupled_joint_deg", default=None
     )
     joint_names: Annotated[
-        dict[str, Text] | None, key("{prefix: of messages}, {without: that they lack}, or theirs: the file's")
+        dict[str, Text] | None, "{prefix: of messages}, {without: that they lack}, or theirs: the file's"
     ] = field(name="joints", default=None)
 
     def names(self, joints: Collection[str]) -> dict[str, str]:
@@ -158,11 +184,11 @@ class HandForm(Section):
 class TipForm(Form):
     """Shape of a tip: the semi-axes of an ellipsoid, or the radius of a sphere."""
 
-    ellipsoid: Vector | None = None
-    sphere: float | None = None
-    min_force: Positive = MIN_FORCE
-    cap: float | None = None
-    max_friction: Positive | None = None
+    ellipsoid: Annotated[Vector | None, "semi-axes [m]"] = None
+    sphere: Annotated[float | None, "radius [m]"] = None
+    min_force: Annotated[Positive, "less is no contact [N]"] = MIN_FORCE
+    cap: Annotated[float | None, "least z of the surface that is sensed [m]"] = None
+    max_friction: Annotated[Positive | None, "a load of more friction is no contact's"] = None
 
     def __post_init__(self) -> None:
         if (self.ellipsoid is None) == (self.sphere is None):
@@ -182,14 +208,20 @@ class TipForm(Form):
 
 
 class SensorNoiseForm(Form):
-    sigma_force: Load | None = field(name="force", default=None)
-    sigma_torque: Load | None = field(name="torque", default=None)
-    sigma_gain: Annotated[float, Meta(ge=0, le=1)] | None = field(name="gain", default=None)
+    """Errors of a force/torque sensor."""
+
+    sigma_force: Annotated[Load | None, "of a reading [N]"] = field(name="force", default=None)
+    sigma_torque: Annotated[Load | None, "of a reading [N m]"] = field(name="torque", default=None)
+    sigma_gain: Annotated[Annotated[float, Meta(ge=0, le=1)] | None, "relative, constant, of each axis"] = (
+        field(name="gain", default=None)
+    )
 
 
 class BiasForm(Form):
-    force: Vector = (0.0, 0.0, 0.0)
-    torque: Vector = (0.0, 0.0, 0.0)
+    """What a force/torque sensor reads without load and without its tip's weight."""
+
+    force: Annotated[Vector, "[N]"] = (0.0, 0.0, 0.0)
+    torque: Annotated[Vector, "[N m]"] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         checks.load(self.force, "force", (3,))
@@ -197,34 +229,41 @@ class BiasForm(Form):
 
 
 class SensorForm(Section, kw_only=True):
-    pose: Annotated[LinkPoseForm | None, key("in the frame")] = None
+    """Six-axis force/torque sensor behind a fingertip."""
+
+    pose: Annotated[LinkPoseForm | None, "where it measures, and along which axes, in the frame"] = None
     reading: Annotated[
         Literal["on_sensor", "on_tip"],
-        key("a tip at rest reads its weight along gravity: on_sensor; against it: on_tip"),
+        "a tip at rest reads its weight along gravity: on_sensor; against it: on_tip",
     ]
-    noise: SensorNoiseForm | None = None
-    bias: BiasForm | None = None
-    tip_mass: Annotated[
-        AtLeastZero, key("kg; handsight.calibrate_wrench finds bias, mass and centre", kilograms=2)
-    ] = 0.0
-    tip_center: Annotated[Vector, key("of mass, from the sensor", metres=0.5)] = (0.0, 0.0, 0.0)
-    full_scale: Annotated[tuple[Load, Load] | None, key("force, torque")] = None
+    noise: Annotated[SensorNoiseForm | None, "of its readings"] = None
+    bias: Annotated[BiasForm | None, "its reading without load"] = None
+    tip_mass: Annotated[AtLeastZero, "of all that hangs on it: handsight calibrate sensors", Kilograms(2)] = (
+        0.0
+    )
+    tip_center: Annotated[Vector, "of mass, from the sensor", Metres(0.5)] = (0.0, 0.0, 0.0)
+    full_scale: Annotated[tuple[Load, Load] | None, "force [N] and torque [N m] that are no measurement"] = (
+        None
+    )
 
 
 class FingerForm(Section, kw_only=True):
-    frame: Annotated[Text, key("the body the tip moves with")]
-    surface: Annotated[LinkPoseForm | None, key("the shape's centre in it; the tip points along +z")] = None
-    tip: TipForm
+    """One finger; its name is yours, and topics use it."""
+
+    frame: Annotated[Text, "the body the tip moves with"]
+    surface: Annotated[LinkPoseForm | None, "the shape's centre in it; the tip points along +z"] = None
+    tip: Annotated[TipForm, "its shape, and what is a contact of it"]
     sigma_point: Annotated[
         AtLeastZero | None,
-        key("calibration, softness: what joints and sensor do not explain", metres=LARGEST),
+        "calibration, softness: what joints and sensor do not explain",
+        Metres(LARGEST),
     ] = None
-    sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
-    friction: Annotated[Friction | None, key("with objects; without it, it is learnt")] = None
-    sigma_friction: Friction | None = None
-    sensor: Annotated[SensorForm | None, key("without it, taxels or messages say where the tip touches")] = (
-        None
+    sigma_normal: Annotated[Angle | None, "the same of a contact's normal"] = field(
+        name="sigma_normal_deg", default=None
     )
+    friction: Annotated[Friction | None, "with objects; without it, it is learnt"] = None
+    sigma_friction: Annotated[Friction | None, "of that friction"] = None
+    sensor: Annotated[SensorForm | None, "without it, taxels or messages say where the tip touches"] = None
 
     def finger(self) -> Finger:
         """Returns the part of the rig."""
@@ -250,34 +289,38 @@ class FingerForm(Section, kw_only=True):
 class SkinForm(Form, kw_only=True):
     """Tactile surface, whose places are those of a grid, a table, a file, a URDF or a product."""
 
-    frame: Text | None = None
-    pose: LinkPoseForm | None = None
-    topic: Text | None = None
-    message_field: Annotated[Text | None, key("path to its readings in a message, as sensors[0].forces")] = (
-        field(name="field", default=None)
+    frame: Annotated[Text | None, "the link that it is on; of a URDF's sensor, that of the file"] = None
+    pose: Annotated[
+        LinkPoseForm | None, "in the frame: x along its rows, y along its columns, z out of the skin"
+    ] = None
+    topic: Annotated[Text | None, "of its readings, in place of topics.skin"] = None
+    message_field: Annotated[Text | None, "path to its readings in a message, as sensors[0].forces"] = field(
+        name="field", default=None
     )
-    rows: int | None = None
-    columns: int | None = None
-    pitch: float | None = None
-    radius: Annotated[Positive | None, key(metres=0.5)] = None
-    taxels: list[list[float]] | None = None
-    file: Text | None = None
-    unit: Literal["m", "mm"] | None = None
-    urdf: Text | None = None
-    layout: Text | None = None
-    components: Literal[1, 3] | None = None
-    indentation: Annotated[bool | None, key("true: readings are how deep it is pressed in [m]")] = None
-    threshold: Positive
-    full_scale: Positive | None = None
-    scale: float | list[float] | None = None
-    offset: float | list[float] | None = None
-    area: Positive | None = None
-    noise: Annotated[float, Meta(gt=0, le=1)] | None = None
-    sigma_point: Annotated[Positive | None, key(metres=LARGEST)] = None
-    sigma_normal: Annotated[float, Meta(gt=0, le=180)] | None = field(name="sigma_normal_deg", default=None)
-    sigma_mount: Annotated[Positive | None, key(metres=LARGEST)] = None
-    stiffness: Annotated[Positive | None, key("of the skin, pressure by depth [N/m^3]")] = None
-    sigma_stiffness: Annotated[Positive | None, key("without it, half of the stiffness")] = None
+    rows: Annotated[int | None, "of a grid"] = None
+    columns: Annotated[int | None, "of a grid"] = None
+    pitch: Annotated[float | None, "from taxel to taxel of a grid [m]"] = None
+    radius: Annotated[Positive | None, "of a grid that is bent about its y", Metres(0.5)] = None
+    taxels: Annotated[list[list[float]] | None, "x, y, z of each, then its normal, then its own x"] = None
+    file: Annotated[Text | None, "a table of the same as CSV, JSON or YAML, beside the rig"] = None
+    unit: Annotated[Literal["m", "mm"] | None, "of the places in taxels or file"] = None
+    urdf: Annotated[Text | None, "a tactile sensor of the hand's URDF"] = None
+    layout: Annotated[Text | None, "a product, as xela:fingertip"] = None
+    components: Annotated[Literal[1, 3] | None, "1: along the normal; 3: x, y and into the skin [N]"] = None
+    indentation: Annotated[bool | None, "true: readings are how deep it is pressed in [m]"] = None
+    threshold: Annotated[Positive, "rise of a touched taxel, in the unit of its readings"]
+    full_scale: Annotated[Positive | None, "a taxel there before the first touch is broken"] = None
+    scale: Annotated[float | list[float] | None, "a reading is scale (message - offset)"] = None
+    offset: Annotated[float | list[float] | None, "in the unit of the message, of each component"] = None
+    area: Annotated[Positive | None, "of a taxel [m^2]"] = None
+    noise: Annotated[Annotated[float, Meta(gt=0, le=1)] | None, "of a reading, relative to it"] = None
+    sigma_point: Annotated[Positive | None, "of each taxel's height by itself", Metres(LARGEST)] = None
+    sigma_normal: Annotated[Annotated[float, Meta(gt=0, le=180)] | None, "of a taxel's normal"] = field(
+        name="sigma_normal_deg", default=None
+    )
+    sigma_mount: Annotated[Positive | None, "of the height of all of it", Metres(LARGEST)] = None
+    stiffness: Annotated[Positive | None, "of the skin, pressure by depth [N/m^3]"] = None
+    sigma_stiffness: Annotated[Positive | None, "without it, half of the stiffness"] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -331,12 +374,18 @@ GONE = {
 
 
 class VisionNoiseForm(Form):
-    sigma_position: Annotated[AtLeastZero | None, key(metres=5)] = field(name="position", default=None)
-    sigma_rotation: Angle | None = field(name="rotation_deg", default=None)
+    """Errors of vision's poses of the object."""
+
+    sigma_position: Annotated[AtLeastZero | None, "of its position", Metres(5)] = field(
+        name="position", default=None
+    )
+    sigma_rotation: Annotated[Angle | None, "of its rotation"] = field(name="rotation_deg", default=None)
 
 
 class ImageNoiseForm(VisionNoiseForm):
-    sigma_ray: Annotated[AtLeastZero | None, key("position along the ray from the camera", metres=5)] = field(
+    """Noise of vision's poses; a message's own covariance replaces it."""
+
+    sigma_ray: Annotated[AtLeastZero | None, "position along the ray from the camera", Metres(5)] = field(
         name="along_ray", default=None
     )
 
@@ -348,30 +397,28 @@ CAMERA_ERRORS = {"noise": "", "constant_error": "_constant", "correlated_error":
 class IntrinsicsForm(Form):
     """Camera matrix and the size of the images [pixels]."""
 
-    width: Pixels
-    height: Pixels
-    fx: Pixels
-    fy: Pixels
-    cx: Pixels
-    cy: Pixels
+    width: Annotated[Pixels, "of an image"]
+    height: Annotated[Pixels, "of an image"]
+    fx: Annotated[Pixels, "focal length along x"]
+    fy: Annotated[Pixels, "focal length along y"]
+    cx: Annotated[Pixels, "x of the optical axis"]
+    cy: Annotated[Pixels, "y of the optical axis"]
 
 
 class CameraForm(Section):
-    fixed_to: Annotated[Literal["world", "palm"], key("world or palm")] = "world"
-    pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
-    noise: Annotated[ImageNoiseForm | None, key("of a detected pose, independent in each image")] = None
-    constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
-    correlated_error: Annotated[VisionNoiseForm | None, key("that images of nearly the same time share")] = (
-        None
-    )
-    correlation_time: Annotated[Positive | None, key("for which it lasts [s]")] = None
-    latency: Annotated[AtLeastZero | None, key("by which a pose is older than its stamp [s]")] = None
-    sigma_latency: AtLeastZero | None = None
-    depth_camera: Annotated[
-        DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")
-    ] = None
-    intrinsics: IntrinsicsForm | None = None
-    lens: list[float] | None = None
+    """The camera that sees the object; without it poses must come in the world's or the palm's frame."""
+
+    fixed_to: Annotated[Literal["world", "palm"], "what it stands on"] = "world"
+    pose: Annotated[PoseForm | None, "of its optical frame (x right, y down, z forward)"] = None
+    noise: Annotated[ImageNoiseForm | None, "of a detected pose, independent in each image"] = None
+    constant_error: Annotated[VisionNoiseForm | None, "of its calibration"] = None
+    correlated_error: Annotated[VisionNoiseForm | None, "that images of nearly the same time share"] = None
+    correlation_time: Annotated[Positive | None, "for which it lasts [s]"] = None
+    latency: Annotated[AtLeastZero | None, "by which a pose is older than its stamp [s]"] = None
+    sigma_latency: Annotated[AtLeastZero | None, "of the latency, which is estimated [s]"] = None
+    depth_camera: Annotated[DepthCamera | None, "how it measures depth, which determines its errors"] = None
+    intrinsics: Annotated[IntrinsicsForm | None, "of its images, where no CameraInfo says them"] = None
+    lens: Annotated[list[float] | None, "k1, k2, p1, p2[, k3[, k4, k5, k6]]; without it, rectified"] = None
 
     def __post_init__(self) -> None:
         if self.lens is not None:
@@ -395,16 +442,22 @@ class CameraForm(Section):
 
 
 class TableForm(Section):
-    height: Annotated[float, key("of its top in the world", metres=100)]
-    sigma_height: Annotated[Positive | None, key(metres=5)] = None
-    sigma_tilt: Angle | None = field(name="sigma_tilt_deg", default=None)
+    """The table on which objects stand until they are lifted."""
+
+    height: Annotated[float, "of its top in the world", Metres(100)]
+    sigma_height: Annotated[Positive | None, "of its height", Metres(5)] = None
+    sigma_tilt: Annotated[Angle | None, "of its tilt about each side"] = field(
+        name="sigma_tilt_deg", default=None
+    )
 
 
 class WorldForm(Section):
-    palm_from: Annotated[
-        Literal["tf", "joints", "nowhere"], key("tf, joints (the hand's file has the arm in it), nowhere")
-    ] = "tf"
-    gravity: Vector = GRAVITY
+    """The world, whose z is up, and how the palm's pose in it is known."""
+
+    palm_from: Annotated[Literal["tf", "joints", "nowhere"], "joints: the hand's file has the arm in it"] = (
+        "tf"
+    )
+    gravity: Annotated[Vector, "in the world [m/s^2]"] = GRAVITY
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.gravity))
@@ -414,19 +467,25 @@ class WorldForm(Section):
 
 
 class FramesForm(Section):
-    world: Text = "world"
-    palm: Text = "palm"
-    camera: Text = "camera"
+    """Names of the frames in messages."""
+
+    world: Annotated[Text, "the world's"] = "world"
+    palm: Annotated[Text, "that of hand.palm"] = "palm"
+    camera: Annotated[Text, "the camera's optical frame"] = "camera"
 
 
 class JointStatesForm(Form):
     """Topic of the joint states of a driver that publishes them otherwise than as a JointState in radians."""
 
-    topic: Text = "/joint_states"
-    message_field: Text | None = field(name="field", default=None)
-    names: list[Text | None] | None = None
-    scale: float | list[float] | None = None
-    offset: float | list[float] | None = None
+    topic: Annotated[Text, "of the joint states"] = "/joint_states"
+    message_field: Annotated[Text | None, "path to the positions in a message, as data[0:6]"] = field(
+        name="field", default=None
+    )
+    names: Annotated[list[Text | None] | None, "of the joints, in that order; null for a number of none"] = (
+        None
+    )
+    scale: Annotated[float | list[float] | None, "a position is scale (message - offset) [rad]"] = None
+    offset: Annotated[float | list[float] | None, "in the unit of the message"] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -445,42 +504,44 @@ class JointStatesForm(Form):
 
 
 class TopicsForm(Section):
+    """Topics; one that has no usual name is not read where it is left out."""
+
     joint_states: Annotated[
         Text | JointStatesForm | None,
-        key("JointState; or {topic, field, names, scale, offset} of another driver"),
+        "JointState; or {topic, field, names, scale, offset} of another driver",
     ] = None
-    vision: Text | None = None
-    tf: Text | None = None
-    color: Text | None = None
-    depth: Text | None = None
-    camera_info: Text | None = None
-    detections: Annotated[Text | None, key("Detection2DArray")] = None
-    mask: Annotated[Text | None, key("Image that is not 0, or the object's label, where it is")] = None
-    truth: Annotated[Text | None, key("PoseStamped in the palm (frames.palm), only ever compared with")] = (
-        None
-    )
+    vision: Annotated[Text | None, "PoseStamped or PoseWithCovarianceStamped; else /vision/object"] = None
+    tf: Annotated[Text | None, "beside it, /tf_static; else /tf"] = None
+    color: Annotated[Text | None, "Image or CompressedImage"] = None
+    depth: Annotated[Text | None, "Image of depths"] = None
+    camera_info: Annotated[Text | None, "CameraInfo"] = None
+    detections: Annotated[Text | None, "Detection2DArray"] = None
+    mask: Annotated[Text | None, "Image that is not 0, or the object's label, where it is"] = None
+    truth: Annotated[Text | None, "PoseStamped in the palm (frames.palm), only ever compared with"] = None
     messages: Annotated[
-        list[Text] | None, key("folders PACKAGE/msg of .msg files, of types that come without a definition")
+        list[Text] | None, "folders PACKAGE/msg of .msg files, of types that come without a definition"
     ] = None
-    wrenches: dict[str, Text] | None = None
-    contacts: dict[str, Text] | None = None
-    skin: dict[str, Text] | None = None
+    wrenches: Annotated[dict[str, Text] | None, "WrenchStamped, by finger; else /NAME/wrench"] = None
+    contacts: Annotated[dict[str, Text] | None, "of tips that sense contacts themselves, by finger"] = None
+    skin: Annotated[dict[str, Text] | None, "by surface; else /NAME/taxels"] = None
 
 
 class CylinderForm(Form):
-    radius: Annotated[Positive, key(metres=5)]
-    height: Annotated[Positive, key(metres=5)]
+    """Cylinder about its z, from its middle."""
+
+    radius: Annotated[Positive, "of its circle", Metres(5)]
+    height: Annotated[Positive, "along z", Metres(5)]
 
 
 class ShapeForm(Form):
     """Shape of an object: its sides, a cylinder, a mesh (a path from the form's file on), or that of a name in the
     object library."""
 
-    box: Annotated[tuple[Positive, Positive, Positive] | None, key(metres=5)] = None
-    cylinder: CylinderForm | None = None
-    mesh: Text | None = None
-    scale: Positive | None = None
-    name: Text | None = None
+    box: Annotated[tuple[Positive, Positive, Positive] | None, "its sides", Metres(5)] = None
+    cylinder: Annotated[CylinderForm | None, "its radius and height"] = None
+    mesh: Annotated[Text | None, "a mesh or a cloud, by a path from this file on"] = None
+    scale: Annotated[Positive | None, "of the mesh, metres a unit"] = None
+    name: Annotated[Text | None, "in the object library"] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -504,14 +565,16 @@ class ShapeForm(Form):
 class ObjectForm(ShapeForm):
     """Object of a rig: its shape, its weight and its friction."""
 
-    symmetries: Literal["find"] | None = None
-    mass: Annotated[Positive | None, key(kilograms=100)] = None
-    sigma_mass: Annotated[Positive | None, key("kg; without it, 3 % of the mass", kilograms=100)] = None
-    center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
-    sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None
-    friction: Annotated[Friction | None, key("with the fingertips; without it, it is learnt")] = None
-    sigma_friction: Friction | None = None
-    label: Annotated[Text | None, key("what a detector calls it; without it, the object's name")] = None
+    symmetries: Annotated[Literal["find"] | None, "find: those of the mesh are searched"] = None
+    mass: Annotated[Positive | None, "of the object", Kilograms(100)] = None
+    sigma_mass: Annotated[Positive | None, "without it, 3 % of the mass", Kilograms(100)] = None
+    center_of_mass: Annotated[
+        Vector | Literal["homogeneous"] | None, "in the object; homogeneous: its volume's", Metres(5)
+    ] = None
+    sigma_center_of_mass: Annotated[Positive | None, "along each axis", Metres(5)] = None
+    friction: Annotated[Friction | None, "with the fingertips; without it, it is learnt"] = None
+    sigma_friction: Annotated[Friction | None, "of that friction"] = None
+    label: Annotated[Text | None, "what a detector calls it; without it, the object's name"] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -521,16 +584,18 @@ class ObjectForm(ShapeForm):
 
 
 class RigForm(Section):
-    version: float
-    hand: HandForm
-    fingers: dict[str, FingerForm]
-    skin: dict[str, SkinForm] | None = None
-    camera: CameraForm | None = None
-    table: Annotated[TableForm | None, key("objects stand on it until they are lifted")] = None
-    world: WorldForm | None = None
-    frames: Annotated[FramesForm | None, key("what messages call them in frame_id")] = None
-    topics: TopicsForm | None = None
-    objects: dict[str, ObjectForm] | None = None
+    """All that is known of a robot."""
+
+    version: Annotated[float, "of this format"]
+    hand: Annotated[HandForm, "its file, and its joints"]
+    fingers: Annotated[dict[str, FingerForm], "by names of yours, that topics use"]
+    skin: Annotated[dict[str, SkinForm] | None, "tactile surfaces on any link, by names of yours"] = None
+    camera: Annotated[CameraForm | None, "that sees the object"] = None
+    table: Annotated[TableForm | None, "objects stand on it until they are lifted"] = None
+    world: Annotated[WorldForm | None, "and the palm's pose in it"] = None
+    frames: Annotated[FramesForm | None, "what messages call them in frame_id"] = None
+    topics: Annotated[TopicsForm | None, "what is read, and where"] = None
+    objects: Annotated[dict[str, ObjectForm] | None, "shapes that may be in the hand, by name"] = None
 
     def __post_init__(self) -> None:
         if not self.fingers:
