@@ -28,7 +28,7 @@ from handsight.live import LiveTracker
 from handsight.live.answers import Answer
 from handsight.live.node import queue_lengths, time_to_wait
 from handsight.messages import RawMessage
-from handsight.messages.decode import defined, rosbags_module, typestore
+from handsight.messages.read import defined, rosbags_module, typestore
 from handsight.messages.topics import MessageRejected, OwnTopic
 
 if TYPE_CHECKING:

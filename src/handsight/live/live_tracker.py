@@ -17,8 +17,8 @@ from handsight.live.health import Health
 from handsight.live.markers import markers_around, object_marker
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
-from handsight.messages.clocks import PromptBuffer, ReorderBuffer
 from handsight.messages.definitions import definitions_in
+from handsight.messages.pair import PromptBuffer, ReorderBuffer
 from handsight.messages.topics import OwnTopic, RosType
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
@@ -159,7 +159,7 @@ class LiveTracker:
     def _request(self, message: RawMessage) -> None:
         """Begins to fulfil a request, unless one is being fulfilled and another one waits already."""
         if not self._accepted.acquire(blocking=False):
-            self.health.noted(f"{message.topic}: refused, as two earlier requests are not done yet")
+            self._note(f"{message.topic}: refused, as two earlier requests are not done yet")
             return
         # An object may take seconds to build, and the transport's thread must not wait for it.
         threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
@@ -178,9 +178,13 @@ class LiveTracker:
                 else:
                     self.start(message)
         except HandsightError as error:
-            self.health.noted(f"{message.topic}: {error}")
+            self._note(f"{message.topic}: {error}")
         finally:
             self._accepted.release()
+
+    def _note(self, text: str) -> None:
+        """Says something in the diagnostics; from any thread."""
+        self.health.noted(text, time.monotonic())
 
     def published(self, topic: str, kind: str) -> None:
         """Notes the type `package/msg/Name` of a topic on the network, as a transport may pass on expected ones only.
@@ -241,11 +245,12 @@ class LiveTracker:
         order = self._stream.order
         for came, message in arrived:
             order.now = came
-            topic = self._stream.topics.get(message.topic)
-            readable = 0 if topic is None else topic.readable
+            report = self._stream.report.topics.get(message.topic)
+            readable = 0 if report is None else report.readable
             observations += self._stream.put(message)
-            if topic is not None and topic.readable > readable:
-                self.health.came(topic, came)
+            report = self._stream.report.topics.get(message.topic)
+            if report is not None and report.readable > readable:
+                self.health.came(report.topic, came)
         rig = self._stream.calibrated(self.rig)
         if rig is not self.rig:
             self.rig = rig
@@ -272,7 +277,7 @@ class LiveTracker:
             except HandsightError as error:
                 done.set_exception(error)
             else:
-                self.health.noted(message)
+                self._note(message)
                 done.set_result(message)
 
         self._tasks.append(begin)
@@ -292,7 +297,7 @@ class LiveTracker:
         try:
             estimate = tracker.update(observation)
         except HandsightError as error:
-            self.health.refused(str(error))
+            self._note(f"observation left out: {error}")
             return []
         self.show(observation, tracker)
         if estimate is None or tracker.stamp != observation.stamp:

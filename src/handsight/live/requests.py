@@ -7,8 +7,9 @@ from handsight.checks import Array
 from handsight.correction import PosePrior
 from handsight.errors import InvalidInput
 from handsight.messages import RawMessage, TopicReport
-from handsight.messages.decode import decode, deserialized
-from handsight.messages.topics import MessageRejected, OwnTopic, RosType
+from handsight.messages.decode import decode
+from handsight.messages.read import deserialized
+from handsight.messages.topics import MessageRejected, OwnTopic, RosType, Topic
 from handsight.objects import Library, ObjectModel
 from handsight.objects.library import find_model
 from handsight.observation import PoseMeasurement
@@ -35,10 +36,10 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
 
     `T_world_palm`: the current pose of the palm, for a user's pose in the world; None: unknown.
     """
-    topic = TopicReport(message.topic, "vision", (RosType.POSE_COVARIANCE,))
-    found = decode(message, topic, rig.frames, fast={})
+    report = TopicReport(Topic(message.topic, "vision", (RosType.POSE_COVARIANCE,)))
+    found = decode(message, report, rig.frames, fast={})
     if not found:
-        raise InvalidInput(next(iter(topic.reasons), "expected a pose"))
+        raise InvalidInput(next(iter(report.reasons)))
     pose: PoseMeasurement = found[0].value
     T_mount_frame = np.eye(4)
     mount = pose.frame

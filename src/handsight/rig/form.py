@@ -462,6 +462,9 @@ class TopicsForm(Section):
     messages: Annotated[
         list[Text] | None, key("folders PACKAGE/msg of .msg files, of types that come without a definition")
     ] = None
+    offsets: Annotated[
+        dict[str, float] | None, key("by topic, added to its stamps [s], of another clock")
+    ] = None
     wrenches: dict[str, Text] | None = None
     contacts: dict[str, Text] | None = None
     skin: dict[str, Text] | None = None
