@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 
 import numpy as np
@@ -284,8 +285,9 @@ def test_what_is_asked_for_is_done_or_refused_in_a_sentence(message, expected):
 
 
 def test_of_many_requests_at_once_two_are_taken_and_the_others_refused():
-    tracker, asked_for, go_on = live(), [], threading.Event()
-    tracker.set_object = lambda name: asked_for.append(name) or go_on.wait(60.0)
+    tracker, asked_for, go_on, done = live(), [], threading.Event(), Future()
+    done.set_result("done")
+    tracker.set_object = lambda name: asked_for.append(name) or (go_on.wait(60.0) and done)
     for _ in range(20):
         tracker.put(asked("/handsight/object", "std_msgs/msg/String", data="can"))
     wait_for(tracker, "refused")

@@ -25,6 +25,8 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import State, Tracker, TrackerSettings
 
+MAX_FULFILLING = 60.0
+"""A request that takes longer is not waited for [s]."""
 QUIET_AFTER = 1.0
 """After this time without a message, all that wait are processed [s]."""
 MARKER_PERIOD = 1 / 30
@@ -172,13 +174,15 @@ class LiveTracker:
                 if message.type not in expected:
                     raise InvalidInput(f"expected a {expected[0]}, got {message.type}")
                 if message.topic == OwnTopic.RESET:
-                    self.reset()
+                    done = self.reset()
                 elif message.topic == OwnTopic.OBJECT:
-                    self.set_object(requested_text(message))
+                    done = self.set_object(requested_text(message))
                 else:
-                    self.start(message)
-        except HandsightError as error:
-            self._note(f"{message.topic}: {error}")
+                    done = self.start(message)
+                # A flood of requests would else begin as many tracks, one after the other, in one step.
+                done.result(MAX_FULFILLING)
+        except (HandsightError, TimeoutError) as error:
+            self._note(f"{message.topic}: {str(error) or 'not done in time'}")
         finally:
             self._accepted.release()
 
@@ -192,6 +196,12 @@ class LiveTracker:
         From any thread; may be repeated.
         """
         self._tasks.append(partial(self._stream.declare, topic, kind))
+
+    def publishers(self, topic: str, count: int) -> None:
+        """Notes how many publish on a topic; more than it has parts are told. From any thread; may be repeated."""
+        report = self._stream.report.topics.get(topic)
+        if report is not None:
+            report.publishers = count
 
     def reset(self) -> "Future[str]":
         """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
@@ -217,7 +227,7 @@ class LiveTracker:
         """Returns the messages to publish now; waits at most `timeout` [s] for something to do. For one thread only."""
         order = self._stream.order
         arrived = self._inbox.take(max(0.0, min(timeout, order.waits_until - time.monotonic())))
-        while self._tasks:
+        for _ in range(len(self._tasks)):  # others may be added meanwhile
             self._tasks.popleft()()
         observations = self._heard(arrived)
         if not self.equal and len(observations) > 1:

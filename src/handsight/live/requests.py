@@ -3,9 +3,9 @@
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, brief
 from handsight.correction import PosePrior
-from handsight.errors import InvalidInput
+from handsight.errors import HandsightError, InvalidInput
 from handsight.messages import RawMessage, TopicReport
 from handsight.messages.decode import decode
 from handsight.messages.read import deserialized
@@ -62,4 +62,9 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
 def requested_model(name: str, rig: Rig) -> ObjectModel:
     """Returns the object of that name in the rig, of a mesh file, or of the library; raises a HandsightError."""
     place = f"the rig ({', '.join(rig.objects) or 'none'})"
-    return find_model(name, rig.objects, place, library=Library())
+    try:
+        return find_model(name, rig.objects, place, library=Library())
+    except HandsightError:
+        raise
+    except (OSError, ValueError) as error:  # of a name that no file can have, or a file that cannot be read
+        raise InvalidInput(f"object: expected a name of {place}, got {brief(name)}: {error}") from None

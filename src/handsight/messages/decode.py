@@ -93,6 +93,7 @@ def decode(
         report.messages += 1
         try:
             found.append(Measurement(report, stamp, raw.log_time, read(), role, name))
+            report.found(name)
         except (MessageRejected, InvalidInput) as error:
             report.reject(f"{about}{error}", nan=getattr(error, "nan", False))
     return found

@@ -20,6 +20,8 @@ MAX_GAP = 0.1
 """A longer time between two joint states is counted as a gap [s]."""
 MAX_DIFFERENCE = 0.1
 """A topic whose stamps are further off the clock of the joint states is told [s]."""
+MAX_PARTS = 100
+"""Parts of messages that are kept for a topic; bounded, as a broken publisher may make up new names."""
 MAX_REASONS = 8
 """Reasons that are kept for a topic; bounded, as one may quote its message."""
 
@@ -72,6 +74,9 @@ class TopicReport:
     gap: float = 0.0  # longest time between two used messages [s]
     gaps: int = 0  # number of times between two used messages above `MAX_GAP`
     unstamped: int = 0  # number of messages without a stamp, which are timed by when they were logged
+    parts: set[str] = field(default_factory=set)
+    """The fingers, surfaces or lists of joints in its messages; not the frames of /tf."""
+    publishers: int = 0  # how many nodes publish on it, as far as a live robot's transport knows
     differences: deque[float] = field(default_factory=lambda: deque(maxlen=15))
     """Log time minus stamp of the last messages, minus the same of the joint states before each [s]."""
 
@@ -107,6 +112,11 @@ class TopicReport:
             reason = "other reasons"
         self.reasons[reason] += 1
 
+    def found(self, part: str) -> None:
+        """Notes a part of a message."""
+        if self.topic.role != "tf" and len(self.parts) < MAX_PARTS:
+            self.parts.add(part)
+
     def use(self, stamp: float) -> None:
         """Counts a message of that stamp [s] as used; stamps must come in order."""
         self.used += 1
@@ -131,6 +141,8 @@ class TopicReport:
         if self.gaps and self.topic.role == "joints":
             longest = f", the longest {self.gap:.3f} s"
             yield Fault(name, f"gaps of more than {MAX_GAP} s", self.gaps, detail=longest)
+        if self.publishers > len(self.parts) > 0:
+            yield Fault(name, f"{self.publishers} nodes publish the same: two hands on one topic?")
         off = self.difference
         if abs(off) > MAX_DIFFERENCE:
             offset = f"topics.offsets: {{{self.topic.name}: {self.topic.offset + off:.3f}}}"

@@ -282,12 +282,12 @@ class Topics:
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for a path that cannot lead into a message, and for an offset of another topic."""
-        known = {*self.wrenches.values(), *self.contacts.values(), *self.skin.values()}
-        known |= {getattr(self, name) for name in ("joint_states", "vision", "tf", "color", "depth")}
-        known |= {getattr(self, name) for name in ("camera_info", "detections", "mask", "truth")}
+        named = {*self.wrenches.values(), *self.contacts.values(), *self.skin.values(), self.joint_states}
+        others = (self.vision, self.tf, self.color, self.depth, self.camera_info)
+        known = named.union(others, (self.detections, self.mask, self.truth))
         for topic, offset in self.offsets.items():
             if topic not in known:
-                near = checks.suggestion(topic, known - {None})
+                near = checks.suggestion(topic, filter(None, known))
                 raise InvalidInput(f"offsets: expected a topic of the rig, got {topic!r}{near}")
             checks.finite(offset, f"offsets[{topic!r}]", ())
         for name, path in self.skin_fields.items():
