@@ -129,7 +129,7 @@ class ReorderBuffer:
         """
         report = measurement.report
         of_joints = report.topic.role == "joints"
-        stamped = measurement.stamp != 0
+        stamped = measurement.stamp != 0 or measurement.log_time == 0  # a simulator's first
         if not stamped:
             report.unstamped += 1
             measurement.stamp = measurement.log_time - (0.0 if of_joints else self._offset)

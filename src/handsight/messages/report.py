@@ -189,7 +189,8 @@ class Report:
             count, far, stamp = self.backwards
             hint = "(played in a loop, or a clock that was set back?): a new track each time"
             first = f", by up to {far:.3f} s, first from {stamp:.3f} s {hint}"
-            rows.append(Fault(f"{self.joint_states}: stamps went back ", "times", count, detail=first))
+            times = "time" if count == 1 else "times"
+            rows.append(Fault(f"{self.joint_states}: stamps went back ", times, count, detail=first))
         for topic in self.topics.values():
             rows += topic.table()
         total = self.observations
