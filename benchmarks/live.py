@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 from rosbags import rosbag1
 
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.messages.topics import rig_topics
 from handsight.objects import ObjectSpec
 from handsight.observation import Observation

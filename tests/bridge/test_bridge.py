@@ -30,9 +30,9 @@ from handsight.bridge.bridge import (
 )
 from handsight.errors import InvalidInput
 from handsight.messages import OwnTopic, RosType
-from handsight.messages.decode import defined
 from handsight.messages.definitions import definitions_in
 from handsight.messages.encode import header
+from handsight.messages.read import defined
 
 ROS2 = [kind for name, kind in vars(RosType).items() if name.isupper() and name != "TF_ROS1"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from handsight.cli.demo import DATA
 from handsight.live import LiveTracker
 from handsight.messages import ObservationStream, RosType
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.messages.topics import rig_topics
 from handsight.recording.mcap import McapSource
 from handsight.rig import Rig

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from handsight.messages import ObservationStream, RawMessage
-from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
+from handsight.messages.read import typestore
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally, replay
 from testbed import skin_scenes

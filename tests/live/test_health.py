@@ -21,7 +21,7 @@ from handsight.live.health import (
     Arrivals,
 )
 from handsight.messages import RosType
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.tracking import TrackerSettings
 from tests.live.recorded import START, live, read, said
 

@@ -7,7 +7,7 @@ import pytest
 
 from handsight import se3
 from handsight.messages import ObservationStream
-from handsight.messages.clocks import PromptBuffer
+from handsight.messages.pair import PromptBuffer
 from messages.ros import START, Messages, heard, raw, rig, touched
 
 M = Messages()
@@ -88,18 +88,59 @@ def test_a_pose_from_within_a_gap_of_the_joints_is_stale():
     assert "/joint_states: 1 gaps of more than 0.1 s, the longest 4.810 s" in stream.report.sentences()
 
 
-@pytest.mark.parametrize("difference", [-300.0, -3.0, 2.5, 1e9])
-def test_stamps_of_another_clock_are_shifted_and_reported(difference):
-    """The wrench's stamps lag behind (positive) or run ahead: log minus stamp differs."""
-    rows = [row for row in touched(100, start=START) if row[0] != "/ff/wrench"]
-    rows += [("/ff/wrench", s, M.wrench(s - difference, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
-    observations, stream = heard(by_log(rows))
+def of_another_clock(difference, count=100):
+    """Joint states and wrenches whose stamps lag behind by the difference (positive) or run ahead of it [s]."""
+    rows = [row for row in touched(count) if row[0] != "/ff/wrench"]
+    return rows + [
+        ("/ff/wrench", s, M.wrench(s - difference, [s - START, 2, 3, 4, 5, 6])) for s in grid(count)
+    ]
+
+
+@pytest.mark.parametrize("difference", [-300.0, -3.0, -0.15, 0.15, 2.5, 1e9])
+def test_stamps_of_another_clock_are_told_and_the_rigs_offset_puts_them_right(difference):
+    rows = of_another_clock(difference)
+    observations, stream = heard(rows)
     report = stream.report.topics["/ff/wrench"]
-    assert report.shifted
     assert report.difference == pytest.approx(difference, abs=1e-6)
+    assert any("topics.offsets" in s for s in stream.report.sentences())
+    assert len(observations) == 100
+    for seen in observations:
+        if "ff" in seen.wrenches:  # stamps are trusted
+            assert seen.wrenches["ff"][0] - difference <= seen.stamp - START + 1e-6
+
+    observations, stream = heard(rows, rig(offsets={"/ff/wrench": difference}))
+    assert abs(stream.report.topics["/ff/wrench"].difference) < 1e-6
+    assert not any("topics.offsets" in s for s in stream.report.sentences())
     for i, seen in enumerate(observations[1:-1], start=1):
         assert seen.wrenches["ff"][0] == pytest.approx(i / 100, abs=0.0101)
-    assert any("/ff/wrench: stamps" in s and "another clock" in s for s in stream.report.sentences())
+
+
+@pytest.mark.parametrize("difference", [-300.0, 1e9])
+def test_a_topic_of_another_clock_takes_no_other_measurement_away(difference):
+    observations, _ = heard(of_another_clock(difference))
+    assert all("th" in seen.wrenches for seen in observations)
+
+
+def test_messages_without_a_stamp_are_timed_on_the_clock_of_the_joint_states():
+    """As of a simulator, or a bag that is played: it is logged much later than it is stamped."""
+    later = 1e6
+    rows = [("/joint_states", s + later, M.joints(s)) for s in grid(100)]
+    rows += [("/ff/wrench", s + later + 0.001, M.wrench(0.0, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
+    observations, stream = heard(rows)
+    assert stream.report.topics["/ff/wrench"].unstamped == 100
+    for i, seen in enumerate(observations[1:], start=1):
+        assert seen.wrenches["ff"][0] == pytest.approx((i - 1) / 100, abs=1e-6)
+
+
+def test_what_waits_for_joint_states_is_bounded():
+    """A robot whose joint states have gone goes on to say all else."""
+    rows = [("/joint_states", START, M.joints(START))]
+    rows += [("/ff/wrench", s, M.wrench(s, [1, 2, 3, 4, 5, s - START])) for s in grid(60_000, rate=1000.0)]
+    _, stream = heard(rows)
+    topic = stream.report.topics["/ff/wrench"]
+    assert topic.stale > 0
+    assert topic.used < 52_000
+    assert topic.used + topic.left_out == topic.messages == 60_000
 
 
 @pytest.mark.parametrize("latency", [0.15, 0.9])
@@ -112,7 +153,7 @@ def test_slow_vision_keeps_its_stamps(latency):
     found = [(seen.stamp - START, seen.vision.T_frame_object[0, 3]) for seen in observations if seen.vision]
     assert len(found) == 30
     np.testing.assert_allclose(*np.transpose(found), atol=1e-6)
-    assert not stream.report.topics["/vision/object"].shifted
+    assert stream.report.topics["/vision/object"].difference == pytest.approx(latency, abs=0.01)
 
 
 def test_a_topic_without_stamps_is_timed_by_when_it_was_recorded():
@@ -123,7 +164,7 @@ def test_a_topic_without_stamps_is_timed_by_when_it_was_recorded():
         [i / 100 for i in range(100)], abs=1e-6
     )
     assert stream.report.topics["/ff/wrench"].duplicated == 0
-    assert "/ff/wrench: no stamps (all 0); timed by when it was recorded" in stream.report.sentences()
+    assert stream.report.topics["/ff/wrench"].unstamped == 100
 
 
 def test_a_simulator_at_a_tenth_of_real_time_is_one_clock():
@@ -133,7 +174,7 @@ def test_a_simulator_at_a_tenth_of_real_time_is_one_clock():
     observations, stream = heard(by_log(rows))
     assert len(observations) == 1000
     assert sum(seen.vision is not None for seen in observations) == 50
-    assert not stream.report.topics["/vision/object"].shifted
+    assert stream.report.topics["/vision/object"].used == len(rows) - len(observations)
 
 
 @pytest.mark.parametrize("first", ["/joint_states", "/vision/object"])
@@ -148,7 +189,7 @@ def test_a_recording_that_paused_as_it_was_played_is_one_clock(first):
         rows.append(("/vision/object", stamp + pause + later, M.pose(stamp, np.eye(4))))
     observations, stream = heard(by_log(rows))
     assert len(observations) == 400
-    assert not stream.report.topics["/vision/object"].shifted
+    assert stream.report.topics["/vision/object"].used == len(rows) - len(observations)
     assert sum(seen.vision is not None for seen in observations) == 10
 
 
@@ -203,7 +244,7 @@ def test_a_camera_that_is_more_than_a_second_late_takes_no_wrenches_from_a_live_
         stream.order.now = log
         observations += stream.put(raw(topic, log, message))
     assert len(observations) > 280
-    assert all("ff" in seen.wrenches for seen in observations)
+    assert all("ff" in seen.wrenches for seen in observations[1:])
     assert stream.report.topics["/color"].stale == 30
 
 

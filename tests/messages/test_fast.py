@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.messages.fast import OTHER_BYTES, FastReader
+from handsight.messages.read import OTHER_BYTES, FastReader
 from messages.ros import START, Messages
 
 M, M1 = Messages(), Messages(ros=1)

@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handsight.contact import TactileSurface
 from handsight.messages import ObservationStream, RawMessage
-from handsight.messages.decode import typestore
 from handsight.messages.encode import header, parts
+from handsight.messages.read import typestore
 from handsight.recording import open_recording
 from messages.ros import START, Messages, begun, nanoseconds, raw, rig
 
@@ -144,7 +144,7 @@ def test_an_inspire_hand_has_a_region_of_each_finger_and_the_palm():
     np.testing.assert_array_equal(seen.skin["palm"], np.arange(112).reshape(8, 14))
 
 
-@pytest.mark.parametrize(("height", "endian"), [(1, "<"), (2, "<"), (3, ">")])
+@pytest.mark.parametrize(("height", "endian"), [(1, "<"), (2, "<"), (2, ">"), (6, ">")])
 def test_a_cloud_has_its_readings_in_a_column(height, endian):
     columns = {"x": np.zeros(6), "fz": READING.ravel(), "fx": -READING.ravel()}
     message = serialized(*cloud(columns, height, endian))
@@ -152,6 +152,36 @@ def test_a_cloud_has_its_readings_in_a_column(height, endian):
     np.testing.assert_array_equal(seen.skin["thumb"], READING)
     _, topic = observed(robot({"thumb": "[force]"}), message)
     assert "skin thumb: field [force]: expected columns of the cloud (x, fz, fx), got force" in topic.reasons
+
+
+def told(surfaces, message):
+    """The only reason for which a surface of a message is left out."""
+    seen, topic = observed(surfaces, message)
+    assert not seen.skin
+    (reason,) = topic.reasons
+    return reason
+
+
+def test_an_organised_cloud_of_another_shape_than_the_grid_is_told():
+    columns = {name: READING.ravel() for name in ("fx", "fy", "fz")}
+    for field in ("[fz]", "[fx,fy,fz]"):
+        assert "3 x 2" in told(robot({"thumb": field}), serialized(*cloud(columns, 3)))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_column_of_a_cloud_with_several_numbers_a_point_is_told_by_its_name(count):
+    kind, message = cloud({"fx": READING.ravel(), "force": READING.ravel()}, 1)
+    message.fields[1].count = count
+    assert "force" in told(robot({"thumb": "[force]"}), serialized(kind, message))
+    seen, _ = observed(robot({"thumb": "[fx]"}), serialized(kind, message))
+    np.testing.assert_array_equal(seen.skin["thumb"], READING)
+
+
+def test_two_sensors_with_one_number_are_told_with_all_numbers():
+    kind, message = xela((4, np.ones((6, 3))), (4, np.zeros((6, 3))), (5, np.ones((6, 3))))
+    assert "4, 4, 5" in told(robot({"thumb": "sensors[sensor_pos=4].forces.z"}), serialized(kind, message))
+    seen, _ = observed(robot({"thumb": "sensors[sensor_pos=5].forces.z"}), serialized(kind, message))
+    np.testing.assert_array_equal(seen.skin["thumb"], np.ones((2, 3)))
 
 
 @pytest.mark.parametrize("kind", ["Float64", "UInt16", "Int32"])

@@ -8,8 +8,8 @@ import pytest
 
 from handsight.contact import TactileSurface
 from handsight.messages import ObservationStream, RawMessage, RosType
-from handsight.messages.decode import typestore
 from handsight.messages.encode import header, taxel_fields
+from handsight.messages.read import typestore
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()

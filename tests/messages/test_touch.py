@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from handsight.messages import ObservationStream, RawMessage, RosType
-from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
+from handsight.messages.read import typestore
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()

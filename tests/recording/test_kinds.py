@@ -186,10 +186,10 @@ def test_a_stamp_of_today_survives_to_the_last_bit(tmp_path):
 
 
 def test_a_missing_extra_names_the_install(tmp_path, monkeypatch):
-    from handsight.messages import decode
+    from handsight.messages import read
 
     path = save(tmp_path, everything(Messages()))
-    decode.typestore.cache_clear()
+    read.typestore.cache_clear()
     for name in ("rosbags.typesys", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingExtra), open_recording(path, rig()) as recording:

@@ -7,7 +7,7 @@ import pytest
 from rosbags import rosbag1, rosbag2
 
 from handsight.cli.demo import DATA
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.messages.topics import rig_topics
 from handsight.objects import ObjectModel
 from handsight.recording import TrackRow, open_recording, write_track_csv

@@ -105,6 +105,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             skin={"the palm": "/skin"},
             detections="/boxes",
             mask="/labels",
+            offsets={"/a": c, "/see": -b},
         ),
         skin={
             "the palm": TactileSurface.grid(

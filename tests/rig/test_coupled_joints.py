@@ -80,5 +80,5 @@ def test_a_stream_and_a_live_tracker_complete_what_the_motors_say(claw):
 def test_a_stream_tells_what_its_joint_states_contradict(claw):
     moved = {**claw.hand.completed(dict.fromkeys(claw.hand.needed, 0.2)), "one_middle": 0.9}
     _, stream = heard(joint_states(claw, moved), claw)
-    (sentence,) = stream.report.notes()
+    (sentence,) = stream.report.coupled.sentences()
     assert "'one_middle'" in sentence

@@ -10,8 +10,8 @@ import handsight as hs
 from hand.hands import data_file
 from handsight import se3
 from handsight.messages import ObservationStream, RawMessage
-from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
+from handsight.messages.read import typestore
 from handsight.rig.layouts import misplaced
 
 EXAMPLES = Path(hs.__file__).with_name("data") / "rigs"

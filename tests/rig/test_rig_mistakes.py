@@ -168,6 +168,14 @@ def test_two_tips_at_one_place_are_refused_and_so_is_one_finger_twice_in_python(
         replace(index, sigma_point=-1.0)
 
 
+@pytest.mark.parametrize("wrong", ["/nowhere: 1.0", "/a: .nan", "/a: true"])
+def test_an_offset_of_no_topic_or_that_is_no_number_is_told_at_its_line(folder, text, wrong):
+    spoilt = re.sub("  offsets:.*\n(    .*\n)*", f"  offsets: {{{wrong}}}\n", text)
+    line, message = said_of(folder, spoilt)
+    assert spoilt.splitlines()[line - 1].startswith("  offsets:")
+    assert message.startswith("topics.offsets")
+
+
 def test_a_rig_without_fingers_is_reported(folder):
     text = "version: 1\nhand: {file: pinch.urdf, palm: palm}\nfingers: {}\n"
     line, message = said_of(folder, text)

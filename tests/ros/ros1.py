@@ -16,7 +16,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import numpy as np
 import pytest
 
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.recording.bags import Rosbag1Source
 
 PACKAGE = Path(__file__).parents[2] / "ros" / "handsight_ros1"

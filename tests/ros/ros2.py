@@ -17,7 +17,7 @@ from cyclonedds.topic import Topic
 from handsight.bridge.bridge import Network, carried, message_type
 from handsight.live import Answer
 from handsight.messages import OwnTopic, RosType
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from tests.live.recorded import poses
 from tests.ros.ros1 import Graph
 

@@ -16,7 +16,7 @@ from rosbags import rosbag1
 
 from handsight.cli.demo import DATA
 from handsight.messages import RosType
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from tests.live.recorded import in_ros1, said, tracked
 from tests.ros.pages import free_port, gone, served
 from tests.ros.ros1 import (

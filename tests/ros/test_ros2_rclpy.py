@@ -13,8 +13,8 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from handsight.cli.demo import DATA
 from handsight.live import Answer
 from handsight.messages import RosType
-from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, pose_with_covariance
+from handsight.messages.read import typestore
 from tests.live.recorded import read, said, tracked
 from tests.ros.ros2 import processes, same
 

@@ -12,7 +12,7 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 from handsight.rig.save import write
 from tests.live.recorded import poses, read
 from tests.live.skin_messages import PLAIN, content, raw, skin_messages, skin_rig, tracked_skin

@@ -5,7 +5,7 @@ from functools import lru_cache
 import rospy
 
 from handsight.messages import RawMessage
-from handsight.messages.decode import typestore
+from handsight.messages.read import typestore
 
 
 @lru_cache

@@ -113,7 +113,9 @@ class Ears:
         """Subscribes anew where a topic is published with another type that is expected, and reports other types."""
         for topic, kinds in self._live.subscriptions.items():
             published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
-            now, any_defined = self._subscribed.get(topic, ("",))[0], topic in self._live.any_defined
+            self._live.publishers(topic, len(published))
+            now = self._subscribed.get(topic, ("",))[0]
+            any_defined = topic in self._live.any_defined
             better = [kind for kind in published if (any_defined or kind in kinds) and made(*kind.split("/"))]
             for kind in published:
                 if kind not in better:

@@ -6,7 +6,8 @@ The DDS types of the messages describe every field to other participants, but ca
 import os
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from operator import itemgetter
 from types import new_class
@@ -28,7 +29,7 @@ from handsight.live import LiveTracker
 from handsight.live.answers import Answer
 from handsight.live.node import queue_lengths, time_to_wait
 from handsight.messages import RawMessage
-from handsight.messages.decode import defined, rosbags_module, typestore
+from handsight.messages.read import defined, rosbags_module, typestore
 from handsight.messages.topics import MessageRejected, OwnTopic
 
 if TYPE_CHECKING:
@@ -176,6 +177,7 @@ class Bridge:
         max_blocking = 10_000_000  # how long a slow subscriber may block an answer [ns]
         reliable = Policy.Reliability.Reliable(max_blocking)
         max_messages, max_answers = queue_lengths(live)
+        self._most_takes = max(max_messages // MAX_TAKEN, 1)
         answers = Qos(reliable, Policy.History.KeepLast(max_answers))
         self._writers: dict[str, Any] = {
             topic: DataWriter(network.participant, self._topic(topic, kind), qos=answers)
@@ -208,23 +210,28 @@ class Bridge:
         callback in a thread of DDS would wait for that lock while holding one of DDS.
         """
         self._filled.wait(round(1e9 * time_to_wait(timeout, self._received)))
-        taken = list[tuple[int, RawMessage]]()
-        now = time.time()
-        for topic, kind, reader in self._readers:
-            dds_type = self._type(kind)
-            samples = [None] * MAX_TAKEN
-            while len(samples) == MAX_TAKEN:
-                samples = reader.take(MAX_TAKEN)
-                taken += [
-                    (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
-                    for sample in samples
-                    if isinstance(sample, dds_type)  # other samples tell that a publisher has gone
-                ]
+        taken = [each for topic, kind, reader in self._readers for each in self._taken(topic, kind, reader)]
         for _, message in sorted(taken, key=itemgetter(0)):  # in the order in which they were sent
             self._live.put(message)
         if taken:
             self._received = time.monotonic()
         return self._live.step(0.0)
+
+    def _taken(self, topic: str, kind: str, reader: Any) -> Iterator[tuple[int, RawMessage]]:
+        """Yields what a reader has received, each after when it was sent [ns].
+
+        At most as much as waits at once is taken, as a flood may bring more than can be taken meanwhile.
+        """
+        now = time.time()
+        dds_type = self._type(kind)
+        for _ in range(self._most_takes):
+            samples = reader.take(MAX_TAKEN)
+            for sample in samples:
+                if isinstance(sample, dds_type):  # other samples tell that a publisher has gone
+                    sent = sample.sample_info.source_timestamp
+                    yield sent, RawMessage(topic, kind, "cdr", now, sample.data)
+            if len(samples) < MAX_TAKEN:
+                return
 
     def publish(self, answer: Answer) -> None:
         """Publishes an answer; a failure is reported, once per topic."""
@@ -237,7 +244,12 @@ class Bridge:
                 self._say(f"{answer.topic}: an answer could not be published: {error}")
 
     def check_network(self) -> None:
-        """Reports topics that are published with an unexpected type; to be called about once a second."""
+        """Reports topics with an unexpected type, or with too many publishers; to be called about once a second."""
+        publishers = Counter[str]()
+        for topic, _, reader in self._readers:
+            publishers[topic] += len(reader.get_matched_publications())
+        for topic, count in publishers.items():
+            self._live.publishers(topic, count)
         for each in self._published.take(MAX_TAKEN):
             name = getattr(each, "topic_name", "") or ""
             if name.startswith("rt/"):

@@ -106,7 +106,7 @@ def new(
 def _described(hand: Path, recording: Path | None, undone: contextlib.ExitStack) -> tuple[Path | None, Path]:
     """Returns a recording and the hand's file; of a recording alone, the robot's description in it, which is written
     beside the rig, and taken away when `undone` ends. Raises InvalidFile where it has none."""
-    from handsight.messages.decode import deserialized
+    from handsight.messages.read import deserialized
     from handsight.recording.frames import is_recording
     from handsight.recording.open import open_files
 

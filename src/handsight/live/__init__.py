@@ -10,7 +10,7 @@ and the same as `handsight track` for a recording. In addition to `handsight.mes
 * **Falling behind**: if several joint states are ready, only the newest is answered, and those with a camera's pose or
   image. `skipped` counts the others.
 * **Bounds**: at most 20 000 messages and 256 MB wait; beyond that the oldest are dropped and counted.
-* **The first second** is used to compare clocks; the answers begin after it.
+* **The beginning**: the answers begin when joint states have come for 0.1 s, which shows what else comes.
 """
 
 from handsight.live.answers import Answer

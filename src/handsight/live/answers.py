@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
-from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, pose_with_covariance, transform
+from handsight.messages.read import typestore
 from handsight.messages.topics import OwnTopic, RosType
 
 OBJECT_FRAME = "object"

@@ -17,14 +17,16 @@ from handsight.live.health import Health
 from handsight.live.markers import markers_around, object_marker
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
-from handsight.messages.clocks import PromptBuffer, ReorderBuffer
 from handsight.messages.definitions import definitions_in
+from handsight.messages.pair import PromptBuffer, ReorderBuffer
 from handsight.messages.topics import OwnTopic, RosType
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking import State, Tracker, TrackerSettings
 
+MAX_FULFILLING = 60.0
+"""A request that takes longer is not waited for [s]."""
 QUIET_AFTER = 1.0
 """After this time without a message, all that wait are processed [s]."""
 MARKER_PERIOD = 1 / 30
@@ -159,7 +161,7 @@ class LiveTracker:
     def _request(self, message: RawMessage) -> None:
         """Begins to fulfil a request, unless one is being fulfilled and another one waits already."""
         if not self._accepted.acquire(blocking=False):
-            self.health.noted(f"{message.topic}: refused, as two earlier requests are not done yet")
+            self._note(f"{message.topic}: refused, as two earlier requests are not done yet")
             return
         # An object may take seconds to build, and the transport's thread must not wait for it.
         threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
@@ -172,15 +174,21 @@ class LiveTracker:
                 if message.type not in expected:
                     raise InvalidInput(f"expected a {expected[0]}, got {message.type}")
                 if message.topic == OwnTopic.RESET:
-                    self.reset()
+                    done = self.reset()
                 elif message.topic == OwnTopic.OBJECT:
-                    self.set_object(requested_text(message))
+                    done = self.set_object(requested_text(message))
                 else:
-                    self.start(message)
-        except HandsightError as error:
-            self.health.noted(f"{message.topic}: {error}")
+                    done = self.start(message)
+                # A flood of requests would else begin as many tracks, one after the other, in one step.
+                done.result(MAX_FULFILLING)
+        except (HandsightError, TimeoutError) as error:
+            self._note(f"{message.topic}: {str(error) or 'not done in time'}")
         finally:
             self._accepted.release()
+
+    def _note(self, text: str) -> None:
+        """Says something in the diagnostics; from any thread."""
+        self.health.noted(text, time.monotonic())
 
     def published(self, topic: str, kind: str) -> None:
         """Notes the type `package/msg/Name` of a topic on the network, as a transport may pass on expected ones only.
@@ -188,6 +196,12 @@ class LiveTracker:
         From any thread; may be repeated.
         """
         self._tasks.append(partial(self._stream.declare, topic, kind))
+
+    def publishers(self, topic: str, count: int) -> None:
+        """Notes how many publish on a topic; more than it has parts are told. From any thread; may be repeated."""
+        report = self._stream.report.topics.get(topic)
+        if report is not None:
+            report.publishers = count
 
     def reset(self) -> "Future[str]":
         """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
@@ -213,7 +227,7 @@ class LiveTracker:
         """Returns the messages to publish now; waits at most `timeout` [s] for something to do. For one thread only."""
         order = self._stream.order
         arrived = self._inbox.take(max(0.0, min(timeout, order.waits_until - time.monotonic())))
-        while self._tasks:
+        for _ in range(len(self._tasks)):  # others may be added meanwhile
             self._tasks.popleft()()
         observations = self._heard(arrived)
         if not self.equal and len(observations) > 1:
@@ -241,11 +255,12 @@ class LiveTracker:
         order = self._stream.order
         for came, message in arrived:
             order.now = came
-            topic = self._stream.topics.get(message.topic)
-            readable = 0 if topic is None else topic.readable
+            report = self._stream.report.topics.get(message.topic)
+            readable = 0 if report is None else report.readable
             observations += self._stream.put(message)
-            if topic is not None and topic.readable > readable:
-                self.health.came(topic, came)
+            report = self._stream.report.topics.get(message.topic)
+            if report is not None and report.readable > readable:
+                self.health.came(report.topic, came)
         rig = self._stream.calibrated(self.rig)
         if rig is not self.rig:
             self.rig = rig
@@ -272,7 +287,7 @@ class LiveTracker:
             except HandsightError as error:
                 done.set_exception(error)
             else:
-                self.health.noted(message)
+                self._note(message)
                 done.set_result(message)
 
         self._tasks.append(begin)
@@ -292,7 +307,7 @@ class LiveTracker:
         try:
             estimate = tracker.update(observation)
         except HandsightError as error:
-            self.health.refused(str(error))
+            self._note(f"observation left out: {error}")
             return []
         self.show(tracker)
         if estimate is None or tracker.stamp != observation.stamp:

@@ -16,7 +16,7 @@ from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
 from handsight.live.requests import requested_model
-from handsight.messages.clocks import MAX_WAIT
+from handsight.messages.pair import MAX_WAIT
 from handsight.msgspec_errors import explain, field_name
 from handsight.rig import Rig
 from handsight.tracking import TrackerSettings

@@ -3,12 +3,13 @@
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, brief
 from handsight.correction import PosePrior
-from handsight.errors import InvalidInput
+from handsight.errors import HandsightError, InvalidInput
 from handsight.messages import RawMessage, TopicReport
-from handsight.messages.decode import decode, deserialized
-from handsight.messages.topics import MessageRejected, OwnTopic, RosType
+from handsight.messages.decode import decode
+from handsight.messages.read import deserialized
+from handsight.messages.topics import MessageRejected, OwnTopic, RosType, Topic
 from handsight.objects import Library, ObjectModel, find_model
 from handsight.observation import PoseMeasurement
 from handsight.rig import Rig
@@ -34,10 +35,10 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
 
     `T_world_palm`: the current pose of the palm, for a user's pose in the world; None: unknown.
     """
-    topic = TopicReport(message.topic, "vision", (RosType.POSE_COVARIANCE,))
-    found = decode(message, topic, rig.frames, fast={})
+    report = TopicReport(Topic(message.topic, "vision", (RosType.POSE_COVARIANCE,)))
+    found = decode(message, report, rig.frames, fast={})
     if not found:
-        raise InvalidInput(next(iter(topic.reasons), "expected a pose"))
+        raise InvalidInput(next(iter(report.reasons)))
     pose: PoseMeasurement = found[0].value
     T_mount_frame = np.eye(4)
     mount = pose.frame
@@ -60,4 +61,9 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
 def requested_model(name: str, rig: Rig) -> ObjectModel:
     """Returns the object of that name in the rig, of a mesh file, or of the library; raises a HandsightError."""
     place = f"the rig ({', '.join(rig.objects) or 'none'})"
-    return find_model(name, rig.objects, place, library=Library())
+    try:
+        return find_model(name, rig.objects, place, library=Library())
+    except HandsightError:
+        raise
+    except (OSError, ValueError) as error:  # of a name that no file can have, or a file that cannot be read
+        raise InvalidInput(f"object: expected a name of {place}, got {brief(name)}: {error}") from None

@@ -3,17 +3,16 @@
 `ObservationStream` takes one `RawMessage` (topic, type, encoding, log time, bytes) after the other and returns the
 observations that each one completes. It guarantees:
 
-* **Time** is `header.stamp` [s]. A topic whose stamps are all 0 in its first second (or in its first message, if it
-  begins later) is stamped with its log times instead. The clock of the joint states is the clock of the rig.
-* **Clocks**: a topic's offset is the median of log time minus stamp over the first second. If it differs from the
-  offset of the joint states by more than 0.1 s, that is reported. If it differs by more than 0.5 s, the topic has
-  another clock, and the difference is added to its stamps; but a vision pose, an image or a truth that arrives up to
-  2 s after its stamp is only slow, and keeps its stamp.
-* **Order**: messages are sorted by stamp in a window of 0.2 s, widened by the differences of offset that were not
-  corrected. Messages that come later than that are left out and counted as late. Joint states
-  whose stamp is more than 1 s from the last one wait for the next ones: if those agree, both are used; else the first
-  are rejected. Where they went back so, the clock was set back, or a recording is played in a loop: all earlier
-  messages are forgotten, and the order begins again.
+* **Time** is `header.stamp` [s], which is trusted. The clock of the joint states is the clock of the rig. A message
+  without a stamp is as long after the last joint states as it was logged after them.
+* **Clocks**: a topic whose stamps are more than 0.1 s off the joint states' clock is told, by log time minus stamp; the
+  rig's `topics.offsets` adds to the stamps of a topic.
+* **Order**: messages are sorted by stamp in a window of 0.2 s, widened by how late a camera was until then, at most
+  2 s. Messages that come later than that are left out and counted as late. Joint states whose stamp is more
+  than 1 s from the last one wait for the next ones: if those agree, both are used; else the first are rejected. Where
+  they went back so, the clock was set back, or a recording is played in a loop: all earlier messages are forgotten, and
+  the order begins again. Others that are more than 1 s ahead wait for the next joint states too, and are left out if
+  they still are.
 * **Observations**: each joint state message gives one, at its stamp; several messages with the same stamp give one
   together. It has the positions from all publishers of joint states (at most 0.1 s old), the newest wrench of each
   finger and the newest readings of each tactile array (at most 0.05 s old), `T_world_palm` from /tf (each transform
@@ -25,8 +24,8 @@ observations that each one completes. It guarantees:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
-from handsight.messages.report import Report
-from handsight.messages.stream import ObservationStream
-from handsight.messages.topics import OwnTopic, RawMessage, RosType, TopicReport
+from handsight.messages.pair import ObservationStream
+from handsight.messages.report import Report, TopicReport
+from handsight.messages.topics import OwnTopic, RawMessage, RosType
 
 __all__ = ["ObservationStream", "OwnTopic", "RawMessage", "Report", "RosType", "TopicReport"]

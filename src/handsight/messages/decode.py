@@ -1,68 +1,65 @@
-"""ROS messages to measurements, the parts of an `Observation`: joints, wrenches and transforms by the fast readers, all
-others by rosbags."""
+"""Messages to measurements, the parts of an `Observation`: joints, wrenches, transforms, touch, poses and images."""
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from importlib import import_module
-from math import hypot, inf, isfinite
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from math import cos, hypot, inf, isfinite, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
-from handsight.errors import InvalidInput, needing
+from handsight.contact.taxels import PIXELS, block
+from handsight.errors import InvalidInput
 from handsight.messages import images
-from handsight.messages.contacts import contact, contacts
-from handsight.messages.definitions import definitions
-from handsight.messages.detections import KINDS, detections
-from handsight.messages.fast import OTHER_BYTES, FastReader, StampedTransform
-from handsight.messages.joints import joints_along, positions
-from handsight.messages.paths import time_along
-from handsight.messages.taxels import readings
-from handsight.messages.topics import MessageRejected, RawMessage, Role, RosMessage, RosType, TopicReport
-from handsight.observation import VISION_FRAMES, PoseMeasurement
+from handsight.messages.paths import at, beside, numbers, time_along
+from handsight.messages.read import OTHER_BYTES, FastReader, StampedTransform, deserialized
+from handsight.messages.report import TopicReport
+from handsight.messages.topics import (
+    MessageRejected,
+    RawMessage,
+    Role,
+    RosMessage,
+    RosType,
+    TaxelSource,
+    Topic,
+)
+from handsight.observation import VISION_FRAMES, ContactMeasurement, Detection2D, PoseMeasurement
+from handsight.rig.rig import JointReading
 
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
-IDL = "=" * 80 + "\nIDL: "
-"""What is before each definition in IDL, as recorders of ROS 2 write them one after the other."""
 FAST = frozenset((RosType.JOINTS, RosType.WRENCH, RosType.TF, RosType.TF_ROS1))
-"""The types of messages that `fast` reads."""
-MAX_DEFINITION = 1 << 16  # length of the longest definition of a type that is read [characters]
+"""The types of messages that a `FastReader` reads."""
+MAX_POSITION = 1e6
+"""Of a joint [rad or m]; large, as wheels turn far."""
+MAX_DETECTIONS = 1000
+"""Detections of a message that are used."""
 
 
 @dataclass(slots=True, eq=False)
 class Measurement:
     """The content of one message, or of a part of it: a transform of /tf, a finger, or a tactile surface."""
 
-    topic: TopicReport  # the report in which the message is counted
-    stamp: float  # the message's own stamp; after `Clocks`, in the clock of the joint states [s]
+    report: TopicReport
+    """Where the message is counted."""
+    stamp: float
+    """The message's own, 0 where it has none; from the order on, in the clock of the joint states [s]."""
     log_time: float  # when it was recorded or received [s]
     value: Any
-    """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin: the
-    readings. vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
-    info: `Camera`. tf: parent, child, `T_parent_child` (4, 4)."""
-    part: str = (
-        ""  # the finger of a wrench or a contact, the tactile surface, the names of joints or of frames
-    )
+    """By role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin: the readings.
+    vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s. info: `Camera`. tf:
+    parent, child, `T_parent_child` (4, 4)."""
+    role: Role
+    """What it measures: what its topic is for, but `skin` for a surface's readings in a message of joint states."""
+    part: str = ""
+    """The finger of a wrench or a contact, the tactile surface, the names of joints or of frames."""
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
-    of_taxels: bool = False
-    """Whether it is of a tactile surface, which may be in a message of joint states."""
-
-    @property
-    def role(self) -> Role:
-        """What it measures."""
-        return "skin" if self.of_taxels else self.topic.role
 
     @property
     def size(self) -> int:
         """Its approximate size [bytes]."""
-        return 500 + (self.value.nbytes if self.topic.role in ("color", "depth", "mask") else 0)
+        return 500 + (self.value.nbytes if self.role in ("color", "depth", "mask") else 0)
 
 
 class Part(NamedTuple):
@@ -71,52 +68,45 @@ class Part(NamedTuple):
     stamp: float  # its own, 0 where it has none [s]
     read: Callable[[], Any]
     """Returns the measurement's value; raises MessageRejected or InvalidInput."""
+    role: Role
     name: str = ""  # as of a measurement's part
     about: str = ""  # what a reason to reject it begins with
-    of_taxels: bool = False  # whether it is a tactile surface's
 
 
 def decode(
-    raw: RawMessage,
-    topic: TopicReport,
-    frames: Mapping[str, str],
-    fast: Mapping[str, FastReader],
+    raw: RawMessage, report: TopicReport, frames: Mapping[str, str], fast: Mapping[str, FastReader]
 ) -> list[Measurement]:
     """Returns the measurements in a message: none, one, or one for each transform of /tf, finger or tactile surface.
 
     Each is counted as a message of the topic; what cannot be used is counted with its reason. `frames`: the frame ids
-    of world, palm and camera. `fast`: a reader for each encoding, to be kept from message to message; without one,
-    joints, wrenches and transforms cannot be read. Raises MissingExtra.
+    of world, palm and camera. `fast`: a reader for each encoding, to be kept from message to message. Raises
+    MissingExtra.
     """
     found = list[Measurement]()
     try:
-        parts = _parts(raw, topic, frames, fast.get(raw.encoding))
+        parts = _parts(raw, report.topic, frames, fast.get(raw.encoding))
     except (MessageRejected, InvalidInput) as error:
-        topic.messages += 1
-        topic.reject(str(error), nan=False)
+        report.messages += 1
+        report.reject(str(error))
         return found
-    for stamp, read, name, about, of_taxels in parts:
-        topic.messages += 1
+    for stamp, read, role, name, about in parts:
+        report.messages += 1
         try:
-            value = read()
-            found.append(Measurement(topic, stamp, raw.log_time, value, name, of_taxels=of_taxels))
+            found.append(Measurement(report, stamp, raw.log_time, read(), role, name))
+            report.found(name)
         except (MessageRejected, InvalidInput) as error:
-            topic.reject(f"{about}{error}", nan=getattr(error, "nan", False))
+            report.reject(f"{about}{error}", nan=getattr(error, "nan", False))
     return found
 
 
-def _parts(
-    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], reader: FastReader | None
-) -> list[Part]:
+def _parts(raw: RawMessage, topic: Topic, frames: Mapping[str, str], reader: FastReader | None) -> list[Part]:
     """Returns the parts of a message that are measurements; raises MessageRejected, MissingExtra."""
-    role = topic.role
     if not topic.accepts(raw):
         came = raw.type or "no type"
-        came += (
-            ", whose definition did not come: record as MCAP, source its package, or set topics.messages"
-            if topic.any_defined
-            else ""
-        )
+        if topic.any_defined:
+            came += (
+                ", whose definition did not come: record as MCAP, source its package, or set topics.messages"
+            )
         raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {came}")
     if reader and raw.type in FAST and not topic.any_defined:
         try:
@@ -125,121 +115,56 @@ def _parts(
             came = f"{len(raw.data)} bytes that are none"
             raise MessageRejected(f"expected a {raw.type}, got {came}") from None
     message = deserialized(raw)
-    # A message without a header has stamp 0, and gets its log time later.
     stamp = _seconds(message) if hasattr(message, "header") else 0.0
+    role = topic.role
     if role in ("joints", "skin"):
         return [*_joints_part(message, stamp, topic), *_taxel_parts(message, stamp, topic)]
     if role == "contact":
         stamp = stamp or max(map(_seconds, getattr(message, "contacts", ())), default=0.0)
         palm = frames["palm"]
         touched = contacts(message, topic.tips)
-        return [Part(stamp, partial(contact, each, topic.tips[f], palm), f) for f, each in touched]
+        return [Part(stamp, partial(contact, each, topic.tips[f], palm), role, f) for f, each in touched]
     if role in ("vision", "truth"):
-        return [Part(stamp, partial(_pose, message, role, frames))]
-    return [Part(stamp, partial(READERS[role], message), topic.finger)]
+        return [Part(stamp, partial(_pose, message, role, frames), role)]
+    return [Part(stamp, partial(READERS[role], message), role)]
 
 
-def _joints_part(message: RosMessage, stamp: float, topic: TopicReport) -> list[Part]:
-    """Returns the part of the joints' positions at the rig's path, if there is one; raises MessageRejected."""
+def _fast_parts(data: bytes, topic: Topic, reader: FastReader) -> list[Part]:
+    """Returns the parts of a JointState, a WrenchStamped or a TFMessage; raises one of `OTHER_BYTES`."""
+    role = topic.role
+    if role == "joints":
+        stamp, names, given = reader.joints(data)
+        return [Part(stamp, partial(positions, names, given, topic.joints), role, " ".join(names))]
+    if role == "wrench":
+        stamp, values = reader.wrench(data)
+        return [Part(stamp, partial(_wrench, values), role, topic.finger)]
+    return [
+        Part(
+            each.stamp,
+            partial(_transform, each),
+            role,
+            f"{each.parent} {each.child}",
+            f"transform to {each.child[:60]!r}: ",
+        )
+        for each in reader.transforms(data)
+    ]
+
+
+def _joints_part(message: RosMessage, stamp: float, topic: Topic) -> Iterator[Part]:
+    """Yields the part of the joints' positions at the rig's path, if there is one; raises MessageRejected."""
     reading = topic.joints
-    if reading is None:
-        return []
-    names, given = joints_along(message, reading)
-    stamp = stamp or time_along(message, reading.field)
-    return [Part(stamp, partial(positions, names, given, reading), " ".join(names))]
+    if reading is not None:
+        names, given = joints_along(message, reading)
+        stamp = stamp or time_along(message, reading.field)
+        yield Part(stamp, partial(positions, names, given, reading), "joints", " ".join(names))
 
 
-def _taxel_parts(message: RosMessage, stamp: float, topic: TopicReport) -> list[Part]:
-    """Returns the parts of a topic's tactile surfaces."""
-    found = list[Part]()
+def _taxel_parts(message: RosMessage, stamp: float, topic: Topic) -> Iterator[Part]:
+    """Yields the parts of a topic's tactile surfaces."""
     for source in topic.surfaces:
         time = stamp or time_along(message, source.field)
         read = partial(readings, message, source)
-        found.append(Part(time, read, source.name, f"skin {source.name}: ", of_taxels=True))
-    return found
-
-
-def _fast_parts(data: bytes, topic: TopicReport, reader: FastReader) -> list[Part]:
-    """Returns the parts of a JointState, a WrenchStamped or a TFMessage; raises one of `OTHER_BYTES`."""
-    if topic.role == "joints":
-        stamp, names, given = reader.joints(data)
-        return [Part(stamp, partial(positions, names, given, topic.joints), " ".join(names))]
-    if topic.role == "wrench":
-        stamp, values = reader.wrench(data)
-        return [Part(stamp, partial(_wrench, values), topic.finger)]
-    found = list[Part]()
-    for each in reader.transforms(data):
-        about = f"transform to {each.child[:60]!r}: "
-        found.append(Part(each.stamp, partial(_transform, each), f"{each.parent} {each.child}", about))
-    return found
-
-
-def _transform(given: StampedTransform) -> tuple[str, str, Array]:
-    """Returns the parent, the child and `T_parent_child`."""
-    return given.parent.lstrip("/"), given.child.lstrip("/"), _rigid_transform(*given.numbers)
-
-
-def deserialized(raw: RawMessage) -> RosMessage:
-    """Returns the message as rosbags decodes it; raises MessageRejected, MissingExtra."""
-    store = typestore(raw.encoding)
-    reason = ""
-    if raw.definition and (raw.type in definitions("both") or raw.type not in store.types):
-        store = defined(raw.encoding, raw.type, raw.definition)  # its own, if it is no type of ROS itself
-    for layout in KINDS[raw.encoding] if raw.type == RosType.DETECTIONS else (raw.type,):
-        try:
-            message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, layout)
-            return message
-        except Exception as error:  # rosbags' generated code raises anything: the bytes are no such message
-            reason = reason or str(error)[:80]
-    raise MessageRejected(f"expected a {raw.type}, got {len(raw.data)} bytes that are none ({reason})")
-
-
-@lru_cache(64)
-def defined(encoding: str, kind: str, definition: str) -> "Typestore":
-    """Returns rosbags' types with one that a definition gives, and those it is made of; raises MessageRejected."""
-    typesys = rosbags_module("rosbags.typesys")
-    if len(definition) > MAX_DEFINITION:
-        raise MessageRejected(f"expected a definition of {kind} within {MAX_DEFINITION} characters")
-    store = _types_of_ros(encoding)
-    types = dict[str, Any]()
-    try:
-        if definition.startswith(IDL):  # of the type, and of each that it is made of
-            for each in re.split(f"{IDL}.*", definition)[1:]:
-                types |= typesys.get_types_from_idl(each)
-        else:
-            types |= typesys.get_types_from_msg(definition, kind)
-        store.register({name: each for name, each in types.items() if name not in store.types})
-    except Exception as error:  # a parser that raises anything: the text is no definition
-        came = f"one that is none ({str(error)[:80]})"
-        raise MessageRejected(f"expected a definition of {kind}, got {came}") from None
-    return store
-
-
-@lru_cache
-def typestore(encoding: str) -> "Typestore":
-    """Returns the known message types for an encoding, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
-    store = _types_of_ros(encoding)
-    types = dict[str, Any]()
-    for kind, definition in (definitions("both") | definitions(encoding)).items():
-        types |= rosbags_module("rosbags.typesys").get_types_from_msg(definition, kind)
-    store.register({kind: each for kind, each in types.items() if kind not in store.types})
-    return store
-
-
-def _types_of_ros(encoding: str) -> "Typestore":
-    """Returns rosbags' message types for an encoding; raises MessageRejected, MissingExtra."""
-    typesys = rosbags_module("rosbags.typesys")
-    stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
-    if encoding not in stores:
-        raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
-    store: Typestore = typesys.get_typestore(stores[encoding])
-    return store
-
-
-def rosbags_module(name: str) -> ModuleType:
-    """Returns a module of rosbags or mcap, or of a package that they require; raises MissingExtra."""
-    with needing("recordings need rosbags and mcap", "robot"):
-        return import_module(name)
+        yield Part(time, read, "skin", source.name, f"skin {source.name}: ")
 
 
 def _seconds(message: RosMessage) -> float:
@@ -252,26 +177,76 @@ def _xyz(vector: RosMessage) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
+def _check_within(values: Sequence[float], limit: float, what: str) -> None:
+    """Raises MessageRejected for a number that is not finite, or beyond a limit."""
+    if hypot(*values) <= limit:
+        return
+    for number in values:
+        if not abs(number) <= limit:
+            nan = not isfinite(number)
+            raise MessageRejected(f"expected {what} within {limit:g}, got {number:g}", nan=nan)
+
+
+def joints_along(message: RosMessage, reading: JointReading) -> tuple[Sequence[str], Sequence[float]]:
+    """Returns the names of the joints in a message, none where the rig has them, and the numbers of their positions.
+
+    Raises MessageRejected, InvalidInput.
+    """
+    found, sizes = numbers(at(message, reading.field))
+    if len(sizes) > 1:
+        raise MessageRejected(f"expected positions in a row, got {' x '.join(map(str, sizes))} numbers")
+    if reading.names:
+        return (), found.tolist()
+    path = beside(reading.field, "name")
+    try:
+        names = [str(name) for name in at(message, path)]
+    except (InvalidInput, TypeError):
+        expected = "expected topics.joint_states.names in the rig"
+        raise MessageRejected(f"{expected}, as the message has no names at {path}") from None
+    return names, found.tolist()
+
+
+def positions(
+    names: Sequence[str], given: Sequence[float], reading: JointReading | None = None
+) -> Mapping[str, float]:
+    """Returns the positions of joints by name [rad or m]; raises MessageRejected.
+
+    `given`: the numbers as published. `reading`: what these are, and the names in place of the message's own; None:
+    positions of a JointState.
+    """
+    known: Sequence[str | None] = names
+    if reading is not None and reading.names:
+        known = reading.names
+    if len(known) != len(given):
+        raise MessageRejected(f"expected as many positions as names, got {len(given)} for {len(known)}")
+    if reading is not None and reading.converts:
+        given = (np.asarray(reading.scale) * (np.asarray(given) - reading.offset)).tolist()
+    pairs = zip(known, given, strict=True)
+    found = {name: position for name, position in pairs if name is not None}
+    if len(found) != len(known) - known.count(None):
+        raise MessageRejected("expected each joint once, got one name twice")
+    if not hypot(*found.values()) <= MAX_POSITION:
+        for name, position in found.items():
+            _check_within((position,), MAX_POSITION, f"a position of joint {name}")
+    return found
+
+
 def _wrench(values: Sequence[float]) -> Array:
     """Returns (6,) force [N] and torque [N m]."""
     _check_within(values, MAX_LOAD, "a force [N] and torque [N m]")
     return np.array(values)
 
 
-def _check_within(numbers: Sequence[float], limit: float, what: str) -> None:
-    """Raises MessageRejected for a number that is not finite, or beyond a limit."""
-    if not hypot(*numbers) <= limit:
-        for number in numbers:
-            if not abs(number) <= limit:
-                nan = not isfinite(number)
-                raise MessageRejected(f"expected {what} within {limit:g}, got {number:g}", nan=nan)
+def _transform(given: StampedTransform) -> tuple[str, str, Array]:
+    """Returns the parent, the child and `T_parent_child`."""
+    return given.parent.lstrip("/"), given.child.lstrip("/"), _rigid_transform(*given.numbers)
 
 
-def _rigid_transform(*numbers: float) -> Array:
+def _rigid_transform(*given: float) -> Array:
     """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w. Plain floats, because NumPy takes ten times
     as long for one pose."""
-    px, py, pz, x, y, z, w = numbers
-    _check_within(numbers[:3], MAX_DISTANCE, "a position [m]")
+    px, py, pz, x, y, z, w = given
+    _check_within(given[:3], MAX_DISTANCE, "a position [m]")
     length = hypot(x, y, z, w)
     if not 1e-6 <= length < inf:
         nan = not isfinite(length)
@@ -310,6 +285,129 @@ def _pose(message: RosMessage, role: Role, frames: Mapping[str, str]) -> PoseMea
     if frame != "palm":
         raise MessageRejected(f"expected the truth in the palm ({frames['palm']!r}), got it in the {frame}")
     return T
+
+
+def readings(message: RosMessage, source: TaxelSource) -> Array:
+    """Returns a surface's readings, NaN where a taxel has no finite one.
+
+    The numbers are in the order of the surface's taxels, of a grid row by row from its corner at -x, -y. Raises
+    MessageRejected, InvalidInput.
+    """
+    value = at(message, source.field)
+    if hasattr(value, "sensors"):  # a TactileState
+        value = at(value, f"sensors[name={source.name}]")
+    found, sizes = numbers(value)
+    expected = f"expected {' x '.join(map(str, source.shape))} taxels"
+    if source.indentation:
+        expected += f", or an image with {PIXELS}"
+    if source.indentation and block(sizes, source.shape) is not None:
+        source = source._replace(shape=sizes)
+    # A list of vectors is of the taxels one after the other, those of a grid too, and so is an image of a bent gel.
+    allowed = source.shape, (math.prod(source.shape[:-1]), source.shape[-1])
+    bent = source.indentation and len(source.shape) == 1
+    if len(sizes) > 1 and sizes not in allowed and not bent:
+        raise MessageRejected(f"{expected}, got {' x '.join(map(str, sizes))}")
+    if not found.size:
+        why = "as drivers send them without a calibration of the sensor"
+        raise MessageRejected(f"{expected}, got none, {why}")
+    if found.size != math.prod(source.shape):
+        raise MessageRejected(f"{expected}, got {found.size} numbers")
+    found = np.where(np.isfinite(found), found, np.nan).reshape(source.shape)
+    if np.isnan(found).all():
+        raise MessageRejected("no taxel has a finite reading", nan=True)
+    return found
+
+
+def contacts(message: RosMessage, tips: Mapping[str, str]) -> list[tuple[str, RosMessage | None]]:
+    """Returns the parts of a message that say where fingers are touched, by finger; None: the finger touches nothing.
+
+    `tips`: the body that each finger's tip moves with. A message about one contact is of the only finger there is; of
+    several contacts, and several fingers, each is of the finger whose name or body it names. Raises MessageRejected.
+    """
+    if hasattr(message, "contacts"):
+        named = {_finger(each, tips): each for each in message.contacts}
+        return [(finger, named.get(finger)) for finger in tips]
+    finger = _finger(message, tips) if len(tips) > 1 else next(iter(tips))
+    if not finger:
+        names = ", ".join(sorted({*tips, *tips.values()}))
+        raise MessageRejected(f"expected the name or frame of a finger on this topic ({names}), got none")
+    return [(finger, message)]
+
+
+def _finger(message: RosMessage, tips: Mapping[str, str]) -> str:
+    """Returns the finger that a contact is of, by its name or its frame; empty: of none."""
+    names = {getattr(message, "name", ""), message.header.frame_id.lstrip("/")}
+    return next((finger for finger, body in tips.items() if names & {finger, body}), "")
+
+
+def contact(message: RosMessage | None, tip: str, palm: str) -> ContactMeasurement | None:
+    """Returns one contact; its vectors are in the fingertip's frame if the header names none.
+
+    The message is one of Shadow, tactile_msgs, or its_msgs (in millimetres). `tip`: the body that the tip moves with.
+    `palm`: the palm's frame id. Raises MessageRejected, InvalidInput.
+    """
+    if message is None:
+        return None
+    if hasattr(message, "PoC"):  # its_msgs
+        point = 1e-3 * np.array(_xyz(message.PoC))
+        normal = np.array(_xyz(message.n))
+        force = float(message.Fn)
+    elif hasattr(message, "wrench"):  # tactile_msgs: its force is in the same frame as the normal
+        point = np.array(_xyz(message.position))
+        normal = np.array(_xyz(message.normal))
+        along = abs(float(np.dot(normal, _xyz(message.wrench.force))))
+        length = float(np.linalg.norm(normal))
+        force = along / max(length, 1e-12)
+    else:
+        point = np.array(_xyz(message.contact_position))
+        normal = np.array(_xyz(message.contact_normal))
+        force = float(message.f_normal)
+    if not np.isfinite([*point, *normal, force]).all():
+        raise MessageRejected("position, normal or force is not finite", nan=True)
+    named = message.header.frame_id.lstrip("/")
+    frame = {"": "tip", palm.lstrip("/"): "palm", tip: tip}.get(named)
+    if frame is None:
+        valid = f"none (the tip's own), {tip!r}, {palm!r}"
+        raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {valid}")
+    if force <= 0 or not normal.any():
+        return None
+    return ContactMeasurement(point, normal, frame, force)
+
+
+def detections(message: RosMessage) -> tuple[Detection2D, ...]:
+    """Returns the detections of a Detection2DArray of ROS 1, Foxy, or later: one for each hypothesis of what is in a
+    box. Raises MessageRejected, InvalidInput."""
+    found = list[Detection2D]()
+    for k, each in enumerate(message.detections[:MAX_DETECTIONS]):
+        box = _upright_box(each.bbox, f"detection {k}")
+        if not len(each.results):
+            found.append(Detection2D("", None, box))
+        for result in each.results:
+            hypothesis = getattr(result, "hypothesis", result)
+            label = result.id if hypothesis is result else hypothesis.class_id
+            score = float(hypothesis.score)
+            if not 0 <= score <= 1:
+                raise MessageRejected(f"detection {k}: expected a score from 0 to 1, got {score:g}")
+            least = 1e-6  # some detectors round a score to 0
+            found.append(Detection2D(str(label), max(score, least), box))
+    return tuple(found)
+
+
+def _upright_box(box: RosMessage, name: str) -> tuple[float, float, float, float]:
+    """Returns the upright box around a turned one [pixels]; raises MessageRejected."""
+    center = getattr(box.center, "position", box.center)
+    turn = box.center.theta
+    width = box.size_x
+    height = box.size_y
+    finite = isfinite(hypot(center.x, center.y, width, height, turn))
+    if not finite or min(width, height) < 0:
+        came = f"{width:g} x {height:g} at {center.x:g}, {center.y:g}, turned by {turn:g}"
+        raise MessageRejected(f"{name}: expected a finite box, got {came}", nan=not finite)
+    c = abs(cos(turn))
+    s = abs(sin(turn))
+    half_u = (c * width + s * height) / 2
+    half_v = (s * width + c * height) / 2
+    return center.x - half_u, center.y - half_v, center.x + half_u, center.y + half_v
 
 
 READERS: dict[Role, Callable[[RosMessage], object]] = {

@@ -101,7 +101,7 @@ def _after(value: Any, step: re.Match[str]) -> Any:
         return [_field(each, name) for each in value]
     if key := step["key"]:
         keys = [str(_field(each, key)) for each in value]
-        if step["value"] in keys:
+        if keys.count(step["value"]) == 1:
             return value[keys.index(step["value"])]
         raise InvalidInput(f"expected one with that {key}, got {', '.join(keys[:12]) or 'none'}")
     index = step["index"]
@@ -130,21 +130,27 @@ def _field(value: Any, name: str) -> Any:
 
 
 def _columns(cloud: Any, names: list[str]) -> Array:
-    """Returns columns (n, k) of a PointCloud2, its points row by row; raises InvalidInput."""
+    """Returns columns (n, k) of a PointCloud2, of an organised one (h, w, k); raises InvalidInput."""
     known = {each.name: each for each in cloud.fields}
     if unknown := [name for name in names if name not in known]:
         raise InvalidInput(f"expected columns of the cloud ({', '.join(known)}), got {unknown[0]}")
     order = ">" if cloud.is_bigendian else "<"
     chosen = [known[name] for name in names]
-    shape = (int(cloud.height), int(cloud.width))
+    for field in chosen:
+        if field.count > 1:
+            raise InvalidInput(f"expected one number a point in {field.name}, got {field.count}")
+    height = int(cloud.height)
+    width = int(cloud.width)
     step = int(cloud.point_step)
-    row = max(int(cloud.row_step), shape[1] * step)
+    row = max(int(cloud.row_step), width * step)
     try:
         formats = [order + NUMBERS[field.datatype] for field in chosen]
         offsets = [field.offset for field in chosen]
         point = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
-        points = np.ndarray(shape, point, bytes(cloud.data), strides=(row, step))
+        points = np.ndarray((height, width), point, bytes(cloud.data), strides=(row, step))
     except (KeyError, ValueError, TypeError) as error:  # which NumPy raises where it is not as the fields say
-        stated = f"{shape[0]} rows of {shape[1]} points of {step} bytes with {', '.join(names)}"
+        stated = f"{height} rows of {width} points of {step} bytes with {', '.join(names)}"
         raise InvalidInput(f"expected {stated}, got {len(cloud.data)} bytes ({error})") from None
-    return np.stack([points[name].ravel().astype(np.float64) for name in names], axis=1)
+    if min(height, width) == 1:
+        points = points.ravel()
+    return np.stack([points[name].astype(np.float64) for name in names], axis=-1)

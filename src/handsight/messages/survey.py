@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from handsight.messages.decode import deserialized, typestore
 from handsight.messages.paths import NUMBERS
+from handsight.messages.read import deserialized, typestore
 from handsight.messages.topics import MessageRejected, RawMessage, RosMessage, RosType
 
 FIRST = 5
@@ -193,7 +193,7 @@ def _array(
 
 def _cloud_arrays(topic: str, cloud: RosMessage) -> Iterator[FoundArray]:
     """Yields the columns of a PointCloud2 but those of places, three of one name together."""
-    columns = {each.name: each for each in cloud.fields if each.name not in PLACES}
+    columns = {each.name: each for each in cloud.fields if each.name not in PLACES and each.count <= 1}
     count = int(cloud.height) * int(cloud.width)
     triples: Mapping[str, list[str]] = {
         name[:-1]: [name[:-1] + axis for axis in PLACES] for name in columns if name[-1:] == "x"

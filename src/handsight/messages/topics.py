@@ -1,7 +1,6 @@
-"""Raw messages of a robot, the names of their types and topics, and the counts of the messages on each topic."""
+"""Raw messages of a robot, the names of their types and topics, and what a rig expects on each of its topics."""
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -48,25 +47,11 @@ class OwnTopic:
     RESET = "/handsight/reset"
 
 
-MAX_GAP = 0.1  # a longer time between two joint states is counted as a gap [s]
-MAX_CLOCK_DIFFERENCE = 0.1  # a larger difference of clocks is reported [s]
-MAX_REASONS = 8  # reasons that are kept for a topic; bounded, as one may quote its message
-
-
 class RosMessage(Protocol):
     """A decoded message of ROS 1 or 2; rosbags generates its class, with the fields as attributes."""
 
     def __getattr__(self, name: str, /) -> Any:
         """Returns the field of that name; raises AttributeError where the type has none."""
-
-
-class TaxelSource(NamedTuple):
-    """Where a tactile surface's readings are in a message."""
-
-    name: str  # the surface's
-    field: str  # path into the message; empty: the message is nothing but the readings
-    shape: tuple[int, ...]  # of its readings, such as rows and columns
-    indentation: bool = False  # whether they may be an image with more pixels
 
 
 class RawMessage(NamedTuple):
@@ -89,151 +74,100 @@ class MessageRejected(Exception):
         self.nan = nan
 
 
-@dataclass(slots=True)
-class TopicReport:
-    """Counts of the messages of one topic, or of the transforms of /tf.
+class TaxelSource(NamedTuple):
+    """Where a tactile surface's readings are in a message."""
 
-    Once no message waits any more, `messages` is the sum of the counts from `used` to `stuck`. A message about several
-    fingers or tactile surfaces counts once for each.
-    """
+    name: str  # the surface's
+    field: str  # path into the message; empty: the message is nothing but the readings
+    shape: tuple[int, ...]  # of its readings, such as rows and columns
+    indentation: bool = False  # whether they may be an image with more pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What a rig expects on one topic."""
 
     name: str
     role: Role  # what the rig uses the topic for
     expected: tuple[str, ...]  # the types that its messages may have
     finger: str = ""  # the finger of a wrench
-    tips: dict[str, str] = field(default_factory=dict)
+    tips: Mapping[str, str] = field(default_factory=dict)
     """The body to which the fingertip of a contact is fixed, by finger."""
     surfaces: tuple[TaxelSource, ...] = ()  # where the readings of tactile surfaces are in a message
     joints: JointReading | None = None  # how the positions of joints are read; None: those of a JointState
     wanted: str = ""
     """What is missing without the topic, such as `finger ff: no wrench`; empty: it may be absent."""
-    type: str = ""
-    messages: int = 0
-    used: int = 0
-    """Used in order of stamp; if several come between two joint states, the observation has the newest."""
-    duplicated: int = 0  # left out, as an earlier message of the same publisher had the same stamp
-    nan: int = 0  # left out, as they have NaN or infinity
-    late: int = 0  # left out, as they came too late to be put in order of stamp
-    bad: int = 0  # left out, as they cannot be used as one of the expected types
-    stale: int = 0  # left out, as they were too old when the next joint states came
-    stuck: int = 0  # left out, as their sensor is stuck or at full scale
-    reasons: Counter[str] = field(
-        default_factory=Counter
-    )  # number of `nan`, `bad` and `stuck` messages, by reason
-    last: float | None = None  # stamp of the last used message, in the clock of the joint states [s]
-    gap: float = 0.0  # longest time between two used messages [s]
-    gaps: int = 0  # number of times between two used messages above `MAX_GAP`
-    difference: float = 0.0
-    """Its offset minus that of the joint states [s]; offset: median of log time minus stamp over the first second."""
-    shifted: bool = False  # whether the difference was added to its stamps, because they are of another clock
-    unstamped: bool = False  # whether its stamps are all 0, so that log times are used instead
-
-    def accepts(self, raw: RawMessage) -> bool:
-        """Returns whether a message is of a type that is expected here, or has a path into it and its definition."""
-        return raw.type in self.expected or (self.any_defined and bool(raw.definition))
+    offset: float = 0.0  # what is added to its stamps [s]
 
     @property
     def any_defined(self) -> bool:
         """Whether its messages may be of any type that comes with its definition, as the rig has a path into them."""
-        paths = [surface.field for surface in self.surfaces]
-        if self.joints is not None:
-            paths.append(self.joints.field)
-        return any(paths)
+        by_path = self.joints is not None and bool(self.joints.field)
+        return by_path or any(surface.field for surface in self.surfaces)
 
-    @property
-    def readable(self) -> int:
-        """Number of messages that could be read, and whose numbers are finite."""
-        return self.messages - self.nan - self.bad
-
-    @property
-    def left_out(self) -> int:
-        """Number of messages that were left out, for whatever reason."""
-        return self.duplicated + self.nan + self.late + self.bad + self.stale + self.stuck
-
-    def reject(self, reason: str, *, nan: bool) -> None:
-        """Counts a message as `nan` or `bad`, with its reason."""
-        self.nan += nan
-        self.bad += not nan
-        self._leave_out(reason)
-
-    def take_back(self, reason: str) -> None:
-        """Counts a message that was used as `stuck`, with its reason."""
-        self.used -= 1
-        self.stuck += 1
-        self._leave_out(reason)
-
-    def _leave_out(self, reason: str) -> None:
-        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
-            reason = "other reasons"
-        self.reasons[reason] += 1
-
-    def use(self, stamp: float) -> None:
-        """Counts a message of that stamp [s] as used; stamps must come in order."""
-        self.used += 1
-        if self.last is not None:
-            gap = stamp - self.last
-            self.gap = max(self.gap, gap)
-            self.gaps += gap > MAX_GAP
-        self.last = stamp
-
-    @property
-    def faults(self) -> Counter[str]:
-        """Numbers of messages of which a user should know something, by what that is."""
-        found = Counter({f"left out: {reason}": count for reason, count in self.reasons.items()})
-        found["came twice with one stamp and were used once"] = self.duplicated
-        found["came too late to be put in order of stamp and were left out"] = self.late
-        found["were too old when the next joint states came and were left out"] = self.stale
-        return +found
-
-    def notes(self) -> Iterator[str]:
-        """Yields a sentence for each problem that all messages of this topic have."""
-        if self.unstamped and not self.type.endswith("MultiArray"):  # which cannot have a stamp
-            yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
-        if abs(self.difference) > MAX_CLOCK_DIFFERENCE:
-            what = "shifted by that: another clock" if self.shifted else "left as they are"
-            yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
+    def accepts(self, raw: RawMessage) -> bool:
+        """Returns whether a message is of a type that is expected here, or has a path into it and its definition."""
+        return raw.type in self.expected or (bool(raw.definition) and self.any_defined)
 
 
-def _taxel_source(name: str, rig: Rig) -> TaxelSource:
-    """Returns where the readings of a tactile surface are."""
-    path = rig.topics.skin_fields.get(name, "")
-    surface = rig.skin.get(name)
-    if surface is None:
-        return TaxelSource(name, path, (0, 0))
-    return TaxelSource(name, path, surface.shape, surface.indentation)
+def rig_topics(rig: Rig) -> dict[str, Topic]:
+    """Returns what the rig expects on each of its topics, by name."""
+    found = [_joints(rig), *_wrenches(rig), *_contacts(rig), *_skin(rig), *_of_camera_and_world(rig)]
+    return {topic.name: topic for topic in found}
 
 
-def rig_topics(rig: Rig) -> dict[str, TopicReport]:
-    """Returns an empty report for each topic of the rig, by name."""
+def _topic(rig: Rig, name: str, role: Role, expected: tuple[str, ...], wanted: str, **how: Any) -> Topic:
+    return Topic(name, role, expected, wanted=wanted, offset=rig.topics.offsets.get(name, 0.0), **how)
+
+
+def _joints(rig: Rig) -> Topic:
+    """Returns the topic of the joint states, whose messages may have the whole hand's taxels too."""
     topics = rig.topics
     reading = topics.joint_reading
-    own = tuple(definitions_in(topics.messages))
-    by_path = reading is not None and bool(reading.field)
-    types = (RosType.JOINTS, *PLAIN_TAXELS, *own) if by_path else (RosType.JOINTS,)
-    joints = TopicReport(topics.joint_states, "joints", types, joints=reading, wanted="no joint states")
-    found = [joints]
-    for finger, topic in topics.wrenches.items():
-        wanted = f"finger {finger}: no wrench"
-        found.append(TopicReport(topic, "wrench", (RosType.WRENCH,), finger, wanted=wanted))
-    bodies = {name: finger.frame for name, finger in rig.fingers.items()}
-    for topic, fingers in _by_topic(topics.contacts).items():
-        tips = {finger: bodies.get(finger, "") for finger in fingers}
+    types: tuple[str, ...] = (RosType.JOINTS,)
+    if reading is not None and reading.field:
+        types = (RosType.JOINTS, *PLAIN_TAXELS, *definitions_in(topics.messages))
+    name = topics.joint_states
+    surfaces = tuple(_taxel_source(each, rig) for each in topics.skin if topics.skin[each] == name)
+    return _topic(rig, name, "joints", types, "no joint states", joints=reading, surfaces=surfaces)
+
+
+def _wrenches(rig: Rig) -> list[Topic]:
+    return [
+        _topic(rig, name, "wrench", (RosType.WRENCH,), f"finger {finger}: no wrench", finger=finger)
+        for finger, name in rig.topics.wrenches.items()
+    ]
+
+
+def _contacts(rig: Rig) -> list[Topic]:
+    found = list[Topic]()
+    for name, fingers in _by_topic(rig.topics.contacts).items():
+        tips = {finger: rig.fingers[finger].frame if finger in rig.fingers else "" for finger in fingers}
         wanted = f"finger {', '.join(fingers)}: no contacts"
-        found.append(TopicReport(topic, "contact", CONTACTS, tips=tips, wanted=wanted))
-    for topic, names in _by_topic(topics.skin).items():
-        sources = [_taxel_source(name, rig) for name in names]
-        if topic == joints.name:  # a message of the whole hand
-            joints.surfaces = tuple(sources)
-            continue
+        found.append(_topic(rig, name, "contact", CONTACTS, wanted, tips=tips))
+    return found
+
+
+def _skin(rig: Rig) -> list[Topic]:
+    own = tuple(definitions_in(rig.topics.messages))
+    found = list[Topic]()
+    for name, surfaces in _by_topic(rig.topics.skin).items():
+        sources = tuple(_taxel_source(each, rig) for each in surfaces)
         types = (*TAXELS, *own) if all(source.field for source in sources) else PLAIN_TAXELS
-        wanted = f"skin {', '.join(names)}: no readings"
-        found.append(TopicReport(topic, "skin", types, surfaces=tuple(sources), wanted=wanted))
+        wanted = f"skin {', '.join(surfaces)}: no readings"
+        if name != rig.topics.joint_states:
+            found.append(_topic(rig, name, "skin", types, wanted, surfaces=sources))
+    return found
+
+
+def _of_camera_and_world(rig: Rig) -> list[Topic]:
+    topics = rig.topics
     tf = topics.tf if rig.world_from == "tf" else None
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
     poses = (RosType.POSE, RosType.POSE_COVARIANCE)
     transforms = (RosType.TF, RosType.TF_ROS1)
-    images = RosType.IMAGE, RosType.COMPRESSED
-    others: tuple[tuple[Role, str | None, tuple[str, ...], str], ...] = (
+    images = (RosType.IMAGE, RosType.COMPRESSED)
+    rows: tuple[tuple[Role, str | None, tuple[str, ...], str], ...] = (
         ("tf", tf, transforms, "no transforms"),
         ("tf_static", tf and f"{tf}_static", transforms, ""),
         ("vision", topics.vision, poses, "no vision"),
@@ -244,8 +178,16 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
         ("mask", topics.mask, (RosType.IMAGE,), ""),
         ("info", topics.camera_info, (RosType.INFO,), "" if calibrated else "no camera info"),
     )
-    found += [TopicReport(name, role, types, wanted=what) for role, name, types, what in others if name]
-    return {each.name: each for each in found}
+    return [_topic(rig, name, role, types, wanted) for role, name, types, wanted in rows if name]
+
+
+def _taxel_source(name: str, rig: Rig) -> TaxelSource:
+    """Returns where the readings of a tactile surface are."""
+    path = rig.topics.skin_fields.get(name, "")
+    surface = rig.skin.get(name)
+    if surface is None:
+        return TaxelSource(name, path, (0, 0))
+    return TaxelSource(name, path, surface.shape, surface.indentation)
 
 
 def _by_topic(topics: Mapping[str, str]) -> dict[str, list[str]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
-from handsight.messages.decode import rosbags_module
+from handsight.messages.read import rosbags_module
 from handsight.recording.source import MAX_UNPACKED, Source, seconds, unpacked
 
 

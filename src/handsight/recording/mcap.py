@@ -15,7 +15,7 @@ from zlib import crc32
 from handsight.errors import InvalidFile
 from handsight.files import open_regular
 from handsight.messages import RawMessage
-from handsight.messages.decode import rosbags_module
+from handsight.messages.read import rosbags_module
 from handsight.recording.source import MAX_UNPACKED, Source, seconds, unpacked
 
 MAX_WAITING = 1 << 28

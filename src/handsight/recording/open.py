@@ -13,7 +13,7 @@ from handsight.checks import suggestion
 from handsight.errors import InvalidFile
 from handsight.files import open_regular, read_bytes
 from handsight.messages import ObservationStream
-from handsight.messages.decode import rosbags_module
+from handsight.messages.read import rosbags_module
 from handsight.observation import Observation
 from handsight.recording.bags import Rosbag1Source, SqliteSource
 from handsight.recording.mcap import MAX_EXPANSION, SPARE_UNPACKED, McapSource
@@ -88,7 +88,8 @@ class Recording(AbstractContextManager["Recording"]):
             for message in file.messages(self._stream.topics):
                 yield from self._stream.put(message)
         yield from self._stream.finish()
-        if not self.report.topics[self._rig.topics.joint_states].messages:
+        joints = self.report.topics.get(self._rig.topics.joint_states)
+        if joints is None or not joints.messages:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:

@@ -9,7 +9,7 @@ from typing import ClassVar, TypeVar
 
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
-from handsight.messages.decode import rosbags_module
+from handsight.messages.read import rosbags_module
 
 MAX_UNPACKED = 1 << 27
 """The largest chunk or message that is unpacked [bytes]; recorders write chunks of 1 to 16 MiB."""

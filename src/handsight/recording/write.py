@@ -19,7 +19,7 @@ from handsight.correction import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import text_file, write_errors
 from handsight.messages import encode
-from handsight.messages.decode import rosbags_module, typestore
+from handsight.messages.read import rosbags_module, typestore
 from handsight.messages.topics import OwnTopic, RosType
 from handsight.observation import Observation
 from handsight.rig import Rig

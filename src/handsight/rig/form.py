@@ -521,6 +521,7 @@ class TopicsForm(Section):
     messages: Annotated[
         list[Text] | None, "folders PACKAGE/msg of .msg files, of types that come without a definition"
     ] = None
+    offsets: Annotated[dict[str, float] | None, "by topic, added to its stamps [s], of another clock"] = None
     wrenches: Annotated[dict[str, Text] | None, "WrenchStamped, by finger; else /NAME/wrench"] = None
     contacts: Annotated[dict[str, Text] | None, "of tips that sense contacts themselves, by finger"] = None
     skin: Annotated[dict[str, Text] | None, "by surface; else /NAME/taxels"] = None

@@ -146,4 +146,7 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
     }
     skin = {name: array.topic or f"/{name}/taxels" for name, array in arrays.items()} | given.pop("skin", {})
     paths = {name: array.message_field for name, array in arrays.items() if array.message_field is not None}
-    return Topics(**({"wrenches": wrenches} | given), skin=skin, skin_fields=paths)
+    try:
+        return Topics(**({"wrenches": wrenches} | given), skin=skin, skin_fields=paths)
+    except InvalidInput as error:
+        raise file.error(("topics", "offsets"), str(error).removeprefix("offsets: ")) from None

@@ -277,9 +277,19 @@ class Topics:
     """Image that is not 0, or the object's label, where it is."""
     truth: str | None = None
     """PoseStamped of the true pose in the palm, which is only compared with."""
+    offsets: Mapping[str, float] = field(default_factory=dict)
+    """By topic: what is added to its stamps [s], where its clock is not that of the joint states."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a path that cannot lead into a message."""
+        """Raises InvalidInput for a path that cannot lead into a message, and for an offset of another topic."""
+        named = {*self.wrenches.values(), *self.contacts.values(), *self.skin.values(), self.joint_states}
+        others = (self.vision, self.tf, self.color, self.depth, self.camera_info)
+        known = named.union(others, (self.detections, self.mask, self.truth))
+        for topic, offset in self.offsets.items():
+            if topic not in known:
+                near = checks.suggestion(topic, filter(None, known))
+                raise InvalidInput(f"offsets: expected a topic of the rig, got {topic!r}{near}")
+            checks.finite(offset, f"offsets[{topic!r}]", ())
         for name, path in self.skin_fields.items():
             try:
                 message_steps(path)
