@@ -7,9 +7,9 @@ import numpy as np
 
 import handsight as hs
 from benchmarks.workload import Problem as Drawn
-from handsight._kernels import records
-from handsight._kernels.runtime.threads import alone
-from handsight._kernels.solve import batch
+from handsight._compiled import records
+from handsight._compiled.threads import alone
+from handsight.correction.kernels import batch
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem
 from handsight.correction.solve import solve

@@ -53,7 +53,7 @@ def pytest_sessionstart(session):
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return  # a few tests need few kernels, and compile those
-    from handsight._kernels.jit import FOLDER
+    from handsight._compiled.jit import FOLDER
     from handsight.tracking import warm
 
     count, k = int(worker["workercount"]), int(worker["workerid"].removeprefix("gw"))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
-from handsight._kernels.image import pinhole, raster
-from handsight._kernels.image.vision_records import CAMERA
+from handsight._compiled import pinhole, raster
+from handsight._compiled.records import CAMERA
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr

@@ -129,7 +129,7 @@ def test_the_demo_corrects_can_and_box_and_draws_them(asked, tmp_path):
 
 
 def test_without_a_terminal_the_demo_says_once_that_it_compiles(asked, monkeypatch):
-    from handsight._kernels.jit import on_compile
+    from handsight._compiled.jit import on_compile
     from handsight.cli import demo
 
     def compiles():
@@ -203,7 +203,7 @@ def test_a_bar_on_a_terminal_shows_what_is_done():
 
 
 KERNEL = """
-from handsight._kernels.jit import entry
+from handsight._compiled.jit import entry
 from handsight.cli.terminal import announce_compiling
 
 @entry

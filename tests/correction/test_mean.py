@@ -6,7 +6,7 @@ from scipy.special import chdtrc, chdtri
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.records import ANSWER
+from handsight._compiled.records import ANSWER
 from handsight.correction import Outside, Plane
 from handsight.correction.mean import merged
 from handsight.correction.modes import in_metres

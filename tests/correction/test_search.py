@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
 from handsight.correction import MOST_CONTACTS, MOST_PLANES, modes, refine_pose
 from handsight.correction.correct import solve_single_start
+from handsight.correction.kernels.search_options import ACCEPTANCE, SEARCH
 from handsight.correction.modes import SAME_MODE
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem

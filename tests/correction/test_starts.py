@@ -5,7 +5,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.runtime.threads import alone
+from handsight._compiled.threads import alone
 from handsight.correction import starts
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, poses_of

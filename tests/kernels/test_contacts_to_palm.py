@@ -8,9 +8,9 @@ from scipy.stats import norm
 
 from contact.contact_cases import any_tip, touches
 from handsight import se3
-from handsight._kernels.touch.contacts_to_palm import TIP_TO_TIP, contacts_to_palm
-from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
+from handsight.contact.kernels.contacts_to_palm import TIP_TO_TIP, contacts_to_palm
+from handsight.contact.kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record
 from oracles.contacts_to_palm import contact_in_palm

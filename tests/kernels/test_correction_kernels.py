@@ -15,14 +15,13 @@ from scipy.special import chdtrc
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels import records
-from handsight._kernels.evidence import prior_term, terms
-from handsight._kernels.jit import entry
-from handsight._kernels.math.stack import local
-from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.runtime.threads import alone, in_parts
-from handsight._kernels.solve import batch, doubt
+from handsight._compiled import records
+from handsight._compiled.jit import entry
+from handsight._compiled.stack import local
+from handsight._compiled.symmetry import pose_of
+from handsight._compiled.threads import alone, in_parts
 from handsight.correction import WeightEvidence, correct, modes, solve
+from handsight.correction.kernels import batch, doubt, prior_term, terms
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries

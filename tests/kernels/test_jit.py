@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from handsight._kernels.jit import FOLDER, KEPT_VERSIONS, entry
+from handsight._compiled.jit import FOLDER, KEPT_VERSIONS, entry
 
 KERNEL = """
 import sys
 import numpy as np
-from handsight._kernels.jit import entry, on_compile
+from handsight._compiled.jit import entry, on_compile
 
 on_compile.append(lambda name: print(name, end=" "))
 
@@ -47,7 +47,7 @@ COMPILED, LOADED = "__main__.doubled  __main__.tripled  6.0 9.0\n", "6.0 9.0\n"
 NAMESAKES = """
 import sys
 import numpy as np
-from handsight._kernels.jit import entry, inner
+from handsight._compiled.jit import entry, inner
 
 @inner
 def summed(row):  # too long to be inlined
@@ -165,15 +165,15 @@ def test_processes_that_compile_at_once_keep_what_each_compiled(started, ran, tm
 
 
 CALLEE = """
-from handsight._kernels.jit import inner
+from handsight._compiled.jit import inner
 
 @inner
 def factor():
     return {factor}
 """
 CALLER = """
-from handsight._kernels.callee import factor
-from handsight._kernels.jit import entry
+from handsight._compiled.callee import factor
+from handsight._compiled.jit import entry
 
 @entry
 def multiplied(value):
@@ -186,11 +186,11 @@ print(multiplied(1.0))
 def test_a_kernel_whose_callee_has_changed_is_compiled_again(tmp_path):
     package = tmp_path / "handsight"
     shutil.copytree(Path(hs.__file__).parent, package, ignore=shutil.ignore_patterns("data"))
-    (package / "_kernels/caller.py").write_text(CALLER)
+    (package / "_compiled/caller.py").write_text(CALLER)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-m", "handsight._kernels.caller"]
+    command = [sys.executable, "-m", "handsight._compiled.caller"]
     for factor in (2.0, 3.0, 2.0):
-        (package / "_kernels/callee.py").write_text(CALLEE.format(factor=factor))
+        (package / "_compiled/callee.py").write_text(CALLEE.format(factor=factor))
         out = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
         assert float(out) == factor
     assert len(list((tmp_path / "kept").glob("kernels-*"))) == 2
@@ -248,7 +248,7 @@ def test_others_cannot_write_kernels_whatever_the_umask(ran, tmp_path):
 
 COPIED = """
 import sys
-from handsight._kernels.jit import FOLDER, on_compile
+from handsight._compiled.jit import FOLDER, on_compile
 from handsight.contact import Sphere, contact_from_wrench
 
 on_compile.append(lambda name: sys.exit(f"compiled {name}"))
@@ -292,14 +292,15 @@ def test_warming_up_into_a_folder_that_cannot_be_written_fails_at_once(tmp_path)
 KEPT = """
 from importlib import import_module
 from pathlib import Path
-from pkgutil import walk_packages
 from types import FunctionType
 import handsight as hs
-from handsight import _kernels
-from handsight._kernels.jit import FOLDER, entry
+from handsight._compiled.jit import FOLDER, entry
 
 def entries():
-    modules = [import_module(module.name) for module in walk_packages(_kernels.__path__, "handsight._kernels.")]
+    place = Path(hs.__file__).parent
+    files = [*place.glob("_compiled/*.py"), *place.glob("*/kernels/*.py")]
+    names = [".".join(file.relative_to(place.parent).with_suffix("").parts) for file in files]
+    modules = [import_module(name) for name in names]
     found = [value for module in modules for value in vars(module).values() if isinstance(value, FunctionType)]
     wrapped = [kernel for kernel in found if kernel.__code__.co_filename == entry.__code__.co_filename]
     return {f"{kernel.__module__}.{kernel.__qualname__}" for kernel in wrapped if kernel.__module__ != entry.__module__}

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from handsight._kernels import records
-from handsight._kernels.evidence import terms
-from handsight._kernels.jit import entry
-from handsight._kernels.math.stack import local
-from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.posterior import density, spurious_information
-from handsight._kernels.solve import batch
+from handsight._compiled import records
+from handsight._compiled.jit import entry
+from handsight._compiled.stack import local
+from handsight._compiled.symmetry import pose_of
+from handsight.correction.kernels import batch, density, spurious_information, terms
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from handsight.objects import Symmetries

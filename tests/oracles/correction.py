@@ -4,9 +4,9 @@ import numpy as np
 from scipy.stats import multivariate_normal, multivariate_t
 
 from handsight import se3
-from handsight._kernels.evidence import prior_term
-from handsight._kernels.evidence.outside_term import POWER
 from handsight.checks import Array
+from handsight.correction.kernels import prior_term
+from handsight.correction.kernels.outside_term import POWER
 from handsight.correction.problem import Problem
 from oracles import fields
 

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from handsight._kernels.mesh.winding import FAR_PATCH, FAR_TRIANGLE
 from handsight.checks import Array, Indices
+from handsight.objects.kernels.winding import FAR_PATCH, FAR_TRIANGLE
 
 _PAIRS = 2_000_000
 

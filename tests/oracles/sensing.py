@@ -1,6 +1,6 @@
-"""Intrinsic contact sensing (eq. 7) in plain NumPy: the slow truth of `handsight._kernels.touch.sensing`.
+"""Intrinsic contact sensing (eq. 7) in plain NumPy: the slow truth of `handsight.contact.kernels.sensing`.
 
-Its formulas are derived in `handsight._kernels.touch.sensing`.
+Its formulas are derived in `handsight.contact.kernels.sensing`.
 """
 
 from typing import NamedTuple

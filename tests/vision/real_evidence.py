@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.image import depth_term
-from handsight._kernels.image.vision_records import STAGE
 from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, UNKNOWN, candidates_at, center_depths, depth_errors
+from handsight.vision.kernels import depth_term
+from handsight.vision.kernels.vision_records import STAGE
 from handsight.vision.object.first_pose import FIRST_SPACING, MAX_POINTS
 from handsight.vision.object.region import observed_points, scene_of
 from testbed import real_frames

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from handsight._kernels.image import depth_image
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, TABLE
+from handsight.vision.kernels import depth_image
+from handsight.vision.kernels.vision_records import DEPTH_POINT, HAND, OUT, TABLE
 from testbed.sight_scenes import CAMERA
 
 

@@ -8,10 +8,10 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_term, pose_score
-from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, UNKNOWN, candidates_at, pose_covariances, poses_of
+from handsight.vision.kernels import depth_term, pose_score
+from handsight.vision.kernels.vision_records import DEPTH_POINT, STAGE
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import first_pose
 from handsight.vision.object.region import scene_of, table_plane

@@ -57,7 +57,7 @@ _one_at_a_time = threading.Lock()  # a reader's models must not be used by sever
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
     """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`."""
-    from handsight._kernels.runtime.threads import alone
+    from handsight._compiled.threads import alone
     from handsight.batch.problems import answer_text
 
     with _one_at_a_time, alone(), warnings.catch_warnings(record=True) as caught:

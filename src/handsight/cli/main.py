@@ -131,7 +131,7 @@ def warmup(
         into.mkdir(parents=True, exist_ok=True)
         os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
         os.environ.pop("NUMBA_CACHE_DIR", None)
-    from handsight._kernels.jit import FOLDER  # by these variables
+    from handsight._compiled.jit import FOLDER  # by these variables
     from handsight.tracking.warm import GROUPS, LATER
 
     if FOLDER is None:
@@ -154,7 +154,7 @@ def warmup(
 
 def _compile(name: str) -> float:
     """Returns the seconds that a group of kernels took to compile; raises NotWritten where they cannot be kept."""
-    from handsight._kernels.jit import KernelWarning
+    from handsight._compiled.jit import KernelWarning
     from handsight.tracking.warm import GROUPS
 
     warnings.simplefilter("error", KernelWarning)

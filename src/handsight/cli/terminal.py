@@ -77,7 +77,7 @@ def announce_compiling(*, aloud: bool = False) -> None:
     on_terminal = sys.stderr.isatty()
     if not (on_terminal or aloud):
         return
-    from handsight._kernels.jit import on_compile
+    from handsight._compiled.jit import on_compile
 
     text = "compiling handsight's kernels, once on this machine"
     if on_terminal:

@@ -126,7 +126,7 @@ class ContactBatch:
     @cached_property
     def covariances(self) -> Array:
         """(k, 6, 6) covariances of (point [m], normal) from the sensor's noise alone; computed at the first use."""
-        from handsight._kernels.touch import sensing
+        from handsight.contact.kernels import sensing
 
         out = np.empty((len(self.rows), 6, 6))
         sensing.covariances(self.records, self.fingertip.record, self.sigmas, out)

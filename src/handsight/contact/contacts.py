@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.records import CONTACT
+from handsight._compiled.records import CONTACT
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.sensing_records import FINGERTIP
 from handsight.checks import Array
+from handsight.contact.kernels.sensing_records import FINGERTIP
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 

@@ -1,6 +1,6 @@
 """Intrinsic contact sensing: from the wrench on a fingertip to where and how the object touches it (eq. 7).
 
-Arguments are checked here. `handsight._kernels.touch.sensing` derives the formulas and computes.
+Arguments are checked here. `handsight.contact.kernels.sensing` derives the formulas and computes.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight._kernels.touch.sensing_records import TIP_CONTACT
 from handsight.checks import Array
 from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact
 from handsight.contact.fingertips import Fingertip
+from handsight.contact.kernels.sensing_records import TIP_CONTACT
 from handsight.errors import InvalidInput
 
 SIGMA_FORCE = 1e-2  # default standard deviation of a force reading, per axis [N]
@@ -37,7 +37,7 @@ def contact_from_wrench(
     One contact per tip is assumed; two at once are at best recognised as `beyond_friction` or `off_cap`.
     Raises InvalidInput for NaN, infinity or a wrong shape. Source: eq. 7; Bicchi, Salisbury and Brock (1993).
     """
-    from handsight._kernels.touch.sensing import sense_one  # importing numba takes half a second
+    from handsight.contact.kernels.sensing import sense_one  # importing numba takes half a second
 
     F = checks.load(force, "force", (3,))
     M = checks.load(torque, "torque", (3,))
@@ -75,7 +75,7 @@ def contacts_from_wrenches(
     if n != len(M):
         raise InvalidInput(f"torques: expected as many rows as forces ({n}), got {len(M)}")
     sigmas = _sigmas(sigma_force, sigma_torque)
-    from handsight._kernels.touch.sensing import sense
+    from handsight.contact.kernels.sensing import sense
 
     reasons, rows, records = (np.empty(n, dtype=kind) for kind in (np.int8, np.intp, TIP_CONTACT))
     k = sense(F, M, fingertip.record, reasons, rows, records)

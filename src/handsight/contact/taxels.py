@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.taxel_records import (
+from handsight.checks import Array, Indices, Mask
+from handsight.contact.contacts import Contacts
+from handsight.contact.kernels.taxel_records import (
     FAR,
     LOW,
     NEAR,
@@ -31,8 +33,6 @@ from handsight._kernels.touch.taxel_records import (
     UNTOUCHED,
     WIDE,
 )
-from handsight.checks import Array, Indices, Mask
-from handsight.contact.contacts import Contacts
 from handsight.contact.soft_skin import sink
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
@@ -284,7 +284,7 @@ class TactileSurface:
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
-        from handsight._kernels.touch.taxels import sense_taxels  # importing numba takes half a second
+        from handsight.contact.kernels.taxels import sense_taxels  # importing numba takes half a second
 
         n, c = values.shape
         rise = np.empty((n + 1, c))
@@ -471,7 +471,7 @@ class SkinTouch:
     """(n + 1, components) scaled readings over the baseline, 0 where unknown and in the last row; those of dead taxels
     within a patch are estimated from their neighbours'."""
     states: Indices = field(repr=False)
-    """(2, n + 1) what each taxel says, and the number of its patch, -1 for none (`_kernels/touch/taxel_records.py`)."""
+    """(2, n + 1) what each taxel says, and the number of its patch, -1 for none (`kernels/taxel_records.py`)."""
     patches: NDArray[np.void] = field(repr=False)
     """(p,) records PATCH of taxels that touch each other, in the link."""
 
@@ -589,7 +589,7 @@ class SkinTouch:
 
 def _farthest_points(places: Array, count: int) -> Indices:
     """Returns at most `count` of n places (n, 3), each farthest from those before (farthest-point sampling)."""
-    from handsight._kernels.math.spreading import snapped, spread_out  # importing numba takes half a second
+    from handsight._compiled.spreading import snapped, spread_out  # importing numba takes half a second
 
     if len(places) <= count:
         return np.arange(len(places))

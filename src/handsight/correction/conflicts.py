@@ -15,12 +15,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight._kernels import records
-from handsight._kernels.solve import batch
-from handsight._kernels.solve.options import ACCEPTANCE
+from handsight._compiled import records
 from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict, PoseEstimate, PosePrior
+from handsight.correction.kernels import batch
+from handsight.correction.kernels.search_options import ACCEPTANCE
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, poses_of
 from handsight.correction.registration import Registration, registered

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.records import ANSWER, CONSTRAINTS
+from handsight._compiled.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose, stretched

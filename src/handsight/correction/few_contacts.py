@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.solve.options import SEARCH
 from handsight.checks import Array, Mask
 from handsight.correction import modes, solve
+from handsight.correction.kernels.search_options import SEARCH
 from handsight.correction.problem import Problem, Records
 
 NUMBER = 384
 NUMBER_SINGLE = 192  # where there is one minimum
 LEAST_DEPARTURE = 3
 """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
-lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
+lattice of `correction/kernels/mean.py`, which is faster, leaves out as little."""
 MOST_OUTSIDE = 8  # points of the hand and planes; with more, the draws' costs take too long
 MOST_MINIMA = 12  # minima that draws are about, the likeliest
 WIDENED = 1.3  # how much wider than a minimum the draws about it are

@@ -2,17 +2,17 @@
 
 Two fingers and a thumb on opposite faces leave a flat direction that edges bound but do not fix: the maximum of the
 density is at an end of the interval, its mean in the middle. The code that integrates is in
-`_kernels/posterior/mean.py`.
+`correction/kernels/mean.py`.
 """
 
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.posterior.options import INTEGRATION
-from handsight._kernels.solve import batch
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
+from handsight.correction.kernels import batch
+from handsight.correction.kernels.integration_options import INTEGRATION
 from handsight.correction.problem import Problem, Records, descents_at
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents

@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.records import GRID, SHEET
-from handsight._kernels.solve.options import ACCEPTANCE
+from handsight._compiled.records import GRID, SHEET
 from handsight.checks import Array, Indices
+from handsight.correction.kernels.search_options import ACCEPTANCE
 from handsight.objects import ObjectModel
 
 SAME_MODE = (0.015, float(np.deg2rad(20)))

@@ -5,7 +5,7 @@ density has a step wherever an edge passes a taxel. So along an array it has no 
 drawn from by adaptive importance sampling: each round is about the likeliest draws of those before, and all draws are
 weighted by the ratio of the posterior to the mixture of all rounds (Cornuet et al., Adaptive multiple importance
 sampling, 2012). Across the open directions a Gauss-Newton step leads from a draw to the best pose, and the rest counts
-as Gaussian there (`_kernels/posterior/lattice.py`).
+as Gaussian there (`correction/kernels/lattice.py`).
 """
 
 from functools import partial
@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.posterior.options import INTEGRATION
-from handsight._kernels.records import FLAT_DIRECTIONS, LATTICE_POINT
-from handsight._kernels.runtime.threads import in_parts
-from handsight._kernels.solve import batch
+from handsight._compiled.records import FLAT_DIRECTIONS, LATTICE_POINT
+from handsight._compiled.threads import in_parts
 from handsight.checks import Array, Indices
 from handsight.correction import modes
 from handsight.correction.few_contacts import FREEDOM, Mixture
+from handsight.correction.kernels import batch
+from handsight.correction.kernels.integration_options import INTEGRATION
 from handsight.correction.mean import across_axes
 from handsight.correction.problem import Problem, Records
 from handsight.objects import ObjectModel

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Indices
 from handsight.correction import modes, starts
+from handsight.correction.kernels.search_options import ACCEPTANCE
 from handsight.correction.problem import Problem, Records, descents_at
 from handsight.correction.solve import Candidates, solve
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
-from handsight._kernels.evidence.outside_term import load_points
-from handsight._kernels.records import OUTSIDE
+from handsight._compiled.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
+from handsight.correction.kernels.outside_term import load_points
 from handsight.correction.problem import check_number
 from handsight.correction.skin import SkinEvidence
 from handsight.errors import InvalidInput

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.records import CONSTRAINTS, DESCENT
+from handsight._compiled.records import CONSTRAINTS, DESCENT
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction.estimate import PosePrior
@@ -17,7 +17,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
-"""NumPy structured values of a type in `_kernels/records.py`."""
+"""NumPy structured values of a type in `_compiled/records.py`."""
 
 FEW = 64
 """Contacts up to which all of them take part in the search, if none share an error; of more, so many do."""

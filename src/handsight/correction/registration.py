@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight._kernels import records
-from handsight._kernels.solve import registration
-from handsight._kernels.solve.options import ACCEPTANCE, REGISTRATION, SEARCH
+from handsight._compiled import records
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes, outliers, starts
+from handsight.correction.kernels import registration
+from handsight.correction.kernels.search_options import ACCEPTANCE, REGISTRATION, SEARCH
 from handsight.correction.problem import FEW, Problem, Records, descents_at, poses_of
 from handsight.correction.solve import solve
 from handsight.objects import ObjectModel

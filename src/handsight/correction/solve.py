@@ -5,15 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from handsight._kernels.records import ANSWER, DESCENT, DOUBTED, ENOUGH, PROBLEM
-from handsight._kernels.runtime.threads import in_parts
-from handsight._kernels.solve import batch, search
-from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
-from handsight._kernels.touch import surface_at_contacts
+from handsight._compiled.records import ANSWER, DESCENT, DOUBTED, ENOUGH, PROBLEM
+from handsight._compiled.threads import in_parts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
 from handsight.correction.estimate import PoseEstimate
+from handsight.correction.kernels import batch, search, surface_at_contacts
+from handsight.correction.kernels.search_options import ACCEPTANCE, SEARCH
 from handsight.correction.problem import Problem, Records, descents_at, poses_of
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest

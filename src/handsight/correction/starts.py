@@ -11,12 +11,12 @@ from functools import cache, lru_cache, partial
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.records import DESCENT, SAMPLES
-from handsight._kernels.runtime.threads import in_parts
-from handsight._kernels.solve import batch, search
+from handsight._compiled.records import DESCENT, SAMPLES
+from handsight._compiled.threads import in_parts
 from handsight.checks import Array, Indices, Mask
 from handsight.correction import modes, solve
 from handsight.correction.estimate import PosePrior, bounded_covariance
+from handsight.correction.kernels import batch, search
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, Records
 from handsight.objects import ObjectModel

@@ -1,6 +1,6 @@
 """Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
-from handsight._kernels.touch.slip_records import FRICTION, SLIP
+from handsight.forces.kernels.slip_records import FRICTION, SLIP
 from handsight.forces.loads import (
     LINK_TAXELS,
     LoadSensor,

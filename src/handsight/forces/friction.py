@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from handsight._kernels.touch.slip import highest_heap
-from handsight._kernels.touch.slip_records import BINS, FIRST, FRICTION
+from handsight.forces.kernels.slip import highest_heap
+from handsight.forces.kernels.slip_records import BINS, FIRST, FRICTION
 
 
 class Friction:

@@ -8,9 +8,9 @@ speed for each newton is unknown, and assumed to be the same for all tips.
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.touch.slip_records import FRICTION
 from handsight.checks import Array
 from handsight.contact import Contacts
+from handsight.forces.kernels.slip_records import FRICTION
 from handsight.forces.loads import LoadSum
 from handsight.observation import seconds
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handsight._kernels.touch.slip import follow_loads
-from handsight._kernels.touch.slip_records import FRICTION, LOAD_LIMITS, LOAD_MEMORY, LOAD_READ, SLIP
 from handsight.checks import Array
 from handsight.forces.friction import Friction, joined
+from handsight.forces.kernels.slip import follow_loads
+from handsight.forces.kernels.slip_records import FRICTION, LOAD_LIMITS, LOAD_MEMORY, LOAD_READ, SLIP
 from handsight.forces.loads import LINK_TAXELS, LoadSensor, load_sensors
 from handsight.observation import seconds
 from handsight.rig import Rig

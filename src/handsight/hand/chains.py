@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.math import chain
-from handsight._kernels.records import CHAIN_JOINT
+from handsight._compiled import chain
+from handsight._compiled.records import CHAIN_JOINT
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 

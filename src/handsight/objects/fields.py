@@ -1,7 +1,7 @@
 """Distance fields, with two derivatives, and the grids that they are sampled on.
 
 Points, gradients and Hessians are in the object's frame. Distances are in metres, negative inside. A field is only
-data; `handsight._kernels.mesh.field` computes its value at a point.
+data; `handsight.objects.kernels.field` computes its value at a point.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels import records
+from handsight._compiled import records
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 
@@ -37,8 +37,8 @@ class Field:
 
     def evaluate(self, points_object: Array) -> FieldValues:
         """Returns distance, gradient and Hessian at points (n, 3) [m], on all cores; the points are not checked."""
-        from handsight._kernels.mesh import field as kernel  # numba's import is long
-        from handsight._kernels.runtime.threads import in_parts
+        from handsight._compiled.threads import in_parts
+        from handsight.objects.kernels import field as kernel  # numba's import is long
 
         points = np.require(points_object, np.float64, ["C", "W"])
         values = np.empty((len(points), 13))

@@ -99,7 +99,7 @@ def geometry_of(
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
     """Returns the geometry of a surface with these distance fields: its samples, sizes and errors; `diameter` [m]."""
-    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
+    from handsight._compiled.spreading import snapped, spread_out  # numba's import is long
 
     vertices = frozen(surface.vertices)
     _ = frozen(surface.faces)

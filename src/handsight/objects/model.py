@@ -1,6 +1,6 @@
 """An object that a hand can hold: the geometry of its surface, its symmetries and its weight, in its own frame.
 
-Kernels take it as a record and the nodes of its grids (`handsight._kernels.records`).
+Kernels take it as a record and the nodes of its grids (`handsight._compiled.records`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
-from handsight._kernels import records
+from handsight._compiled import records
 from handsight.checks import Array
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import cache, primitives
@@ -254,7 +254,7 @@ class ObjectModel(Geometry):
             return T
         if not self.record.symmetry_known:
             return nearest(self.symmetries, T, T_reference, self.radius)
-        from handsight._kernels.solve.batch import equivalent
+        from handsight._compiled.symmetry import equivalent  # numba's import is long
 
         Ts = np.array(T).reshape(-1, 4, 4)
         out = np.empty_like(Ts)

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.touch.taxels import TAXELS
 from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch
+from handsight.contact.kernels.taxels import TAXELS
 from handsight.correction import PosePrior, correct_pose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch import contacts_to_palm as kernels
-from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
+from handsight.contact.kernels import contacts_to_palm as kernels
+from handsight.contact.kernels.sensing_records import FINGER, PALM_CONTACT
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement, Observation

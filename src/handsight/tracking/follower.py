@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.touch.contacts_to_palm import have_moved
 from handsight.checks import Array
+from handsight.contact.kernels.contacts_to_palm import have_moved
 from handsight.correction import PoseEstimate, PosePrior, refine_pose
 from handsight.correction.correct import problem_of
 from handsight.correction.estimate import point_uncertainty

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.posterior.options import INTEGRATION
-from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
+from handsight.correction.kernels.integration_options import INTEGRATION
+from handsight.correction.kernels.search_options import ACCEPTANCE
 from handsight.correction.modes import MAX_MODES, SAME_MODE, apart, chi2_limit, in_metres, pose_distances
 from handsight.correction.weight import CONTRADICTS
 from handsight.gaussian_pose import GaussianPose

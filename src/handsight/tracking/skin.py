@@ -7,10 +7,10 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight._kernels.touch.taxel_records import FAULTS, LOW, PATCH, PRESSED, WATCHED
-from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch
+from handsight.contact.kernels.taxel_records import FAULTS, LOW, PATCH, PRESSED, WATCHED
+from handsight.contact.kernels.taxels import TAXELS, watch_taxels
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.forces import LINK_TAXELS

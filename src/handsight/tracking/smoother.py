@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.posterior.pose_bias import follow
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.correction import PosePrior
 from handsight.gaussian_pose import GaussianPose, kalman_update
 from handsight.tracking import pose_bias
+from handsight.tracking.kernels.pose_bias import follow
 from handsight.tracking.pose_bias import BIAS, INNOVATION, LATENCY, MEASUREMENT, POSES, Measurements
 
 MAX_PROPAGATION = 100.0

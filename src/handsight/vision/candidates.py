@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_term
-from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR
-from handsight._kernels.solve import distinct_poses
 from handsight.camera import Camera
 from handsight.checks import Array
+from handsight.correction.kernels import distinct_poses
 from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import DepthNoise
+from handsight.vision.kernels import depth_term
+from handsight.vision.kernels.vision_records import CANDIDATE, DEPTH_ERROR
 
 Candidates = NDArray[np.void]
 NOTHING_KNOWN = np.zeros((6, 6))  # the information of a pose without prior knowledge

@@ -97,8 +97,8 @@ class ClosestPointSearch:
 
         Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
-        from handsight._kernels.mesh.nearest_triangle import RESULT, closest  # numba's import is long
-        from handsight._kernels.runtime.threads import in_parts
+        from handsight._compiled.threads import in_parts
+        from handsight.objects.kernels.nearest_triangle import RESULT, closest  # numba's import is long
 
         places = np.require(points, np.float64, ["C", "W"])
         found = np.zeros((len(points), RESULT))
@@ -154,8 +154,8 @@ class Winding:
 
     def at(self, points: Array) -> Array:
         """Returns winding numbers (n,) at the points (n, 3) [m]."""
-        from handsight._kernels.mesh.winding import winding  # numba's import is long
-        from handsight._kernels.runtime.threads import in_parts
+        from handsight._compiled.threads import in_parts
+        from handsight.objects.kernels.winding import winding  # numba's import is long
 
         places = np.require(points, np.float64, ["C", "W"])
         found = np.zeros(len(points))

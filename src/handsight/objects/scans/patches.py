@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from handsight import se3
-from handsight._kernels.mesh import quadrics as kernel
-from handsight._kernels.mesh.quadrics import PATCH, blended, neighbours
-from handsight._kernels.runtime.threads import in_parts
+from handsight._compiled.threads import in_parts
 from handsight.checks import Array, Indices
+from handsight.objects.kernels import quadrics as kernel
+from handsight.objects.kernels.quadrics import PATCH, blended, neighbours
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
 from handsight.objects.surface import unit
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.spatial import cKDTree
 
-from handsight._kernels.posterior.spurious_information import CHI2_95
 from handsight.checks import Array
 from handsight.objects.geometry import Geometry, Roughness, with_error
+from handsight.objects.kernels.scan_error import CHI2_95
 from handsight.objects.scans.patches import (
     NOISE_SMOOTHEST,
     NOISE_THINNED,

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_term, pose_score, votes
-from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.camera import Camera
 from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel, cache
 from handsight.objects.surface import Cloud, Surface
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, poses_of
+from handsight.vision.kernels import depth_term, pose_score, votes
+from handsight.vision.kernels.vision_records import DEPTH_POINT, STAGE
 
 SAMPLES = 2400
 FEW = 600

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_covariance
-from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.kernels import depth_covariance
+from handsight.vision.kernels.vision_records import CANDIDATE
 from handsight.vision.object.locate import FirstPoseSource, locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.object.region import check_metres

@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_term, outline, pose_score, votes
-from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.checks import Array, Indices
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
@@ -22,6 +20,8 @@ from handsight.vision.candidates import (
     poses_of,
 )
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.kernels import depth_term, outline, pose_score, votes
+from handsight.vision.kernels.vision_records import CANDIDATE, STAGE
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
 

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_image, depth_term, outline, pose_score
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import Candidates, candidates_at, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import DepthNoise
+from handsight.vision.kernels import depth_image, depth_term, outline, pose_score
+from handsight.vision.kernels.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within, log_odds
 from handsight.vision.object.region import TABLE_WITHIN

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks
-from handsight._kernels.image import depth_image
-from handsight._kernels.image.vision_records import DEPTH_POINT, HAND
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
+from handsight.vision.kernels import depth_image
+from handsight.vision.kernels.vision_records import DEPTH_POINT, HAND
 
 TABLE_WITHIN = 0.010  # points nearer to the table's plane are the table's [m]
 REGION_TRIALS = 200  # planes through three points each

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_covariance, hand_term, palm_scan
-from handsight._kernels.image.hand_term import HAND_SCORE
-from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.gaussian_pose import GaussianPose
 from handsight.vision.candidates import Candidates, candidates_at, depth_errors, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.kernels import depth_covariance, hand_term, palm_scan
+from handsight.vision.kernels.hand_term import HAND_SCORE
+from handsight.vision.kernels.vision_records import STAGE
 from handsight.vision.palm.hand_appearance import PlacedHand
 
 SEARCH_CELL = 0.005  # side of the cells in which the image is sampled, at the hand [m]

@@ -7,12 +7,12 @@ import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_term
-from handsight._kernels.image.vision_records import OUT, STAGE
-from handsight._kernels.records import MODEL
+from handsight._compiled.records import MODEL
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
+from handsight.vision.kernels import depth_term
+from handsight.vision.kernels.vision_records import OUT, STAGE
 from handsight.vision.object.region import Scene, observed_points
 from handsight.vision.reconstruction.volume import Volume
 

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handsight._kernels.image import volume as kernel
-from handsight._kernels.image.vision_records import VOXEL
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, GridField
+from handsight.vision.kernels import volume as kernel
+from handsight.vision.kernels.vision_records import VOXEL
 
 BOUND = 3.0  # distances to the surface are kept up to this [cells]
 MIN_VIEWS = 2  # views that must agree on a node: one alone may be noise

@@ -1,1 +1,0 @@
-"""The posterior around a mode: information, covariance, mean, and its propagation over time."""

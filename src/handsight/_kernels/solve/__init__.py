@@ -1,1 +1,0 @@
-"""The solvers: matching, Levenberg-Marquardt, and the search from many starts."""

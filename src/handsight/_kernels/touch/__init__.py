@@ -1,1 +1,0 @@
-"""Touch: from wrenches on fingertips, and joint positions, to contacts in the palm."""

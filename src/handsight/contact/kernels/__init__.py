@@ -1,0 +1,1 @@
+"""What contacts compute: eq. 7 of the paper, taxels, and both in the palm's frame."""

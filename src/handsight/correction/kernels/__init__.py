@@ -1,0 +1,1 @@
+"""What a correction computes: evidence, search and posterior."""

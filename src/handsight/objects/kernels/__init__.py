@@ -1,0 +1,1 @@
+"""What objects compute: distance fields, triangles, quadrics."""

@@ -1,0 +1,1 @@
+"""What images compute: votes, refinement, scores, outlines."""
