@@ -60,7 +60,7 @@ def test_calibrate_camera_prints_what_the_rig_file_takes(moved, calibrated, aske
     text = (tmp_path / "rig.yaml").read_text()
     pose = next(line for line in out.splitlines() if line.startswith("  pose: "))
     (tmp_path / "new.yaml").write_text(
-        re.sub(r"(?m)(?<=fixed_to: world   # world or palm\n)  pose: .*$", pose, text)
+        re.sub(r"(?m)(?<=^camera:)(.*\n.*\n)  pose: .*$", lambda found: found[1] + pose, text)
     )
     found = Rig.from_file(tmp_path / "new.yaml").camera.T_mount_camera
     np.testing.assert_allclose(found, calibrated.T_mount_camera, atol=1e-3)

@@ -213,7 +213,7 @@ def test_of_a_simulated_grasp_the_object_is_reconstructed_and_not_the_table(aske
         pytest.skip("the meshes are not here: set HANDSIGHT_DATA to the folder of ycbv_frames")
     # As by the command, with fewer images: 37 show as much as 440.
     scenario, path = Scenario(object=str(mesh), images=True, motion="weigh", rate=2.5), tmp_path / "mug.mcap"
-    record(scenario, path, search(scenario, path), blind=False)
+    record(scenario, path, search(scenario).grasp, blind=False)
     said = asked("reconstruct", "mug.mcap", "--in-hand", "-o", "mug.ply", columns=250).err
     assert "at most" in said
     assert "no finger touched: " in said  # before the hand had closed

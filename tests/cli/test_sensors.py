@@ -17,7 +17,7 @@ def weighed(request, tmp_path_factory):
     """A recording of a can that is lifted and tilted, with its rig beside it."""
     path = tmp_path_factory.mktemp("weighed") / f"{request.param}.mcap"
     scenario = Scenario(object="can", motion="weigh", rate=20, sensors=request.param)
-    record(scenario, path, search(scenario, path), blind=False)
+    record(scenario, path, search(scenario).grasp, blind=False)
     return path
 
 

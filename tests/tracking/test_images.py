@@ -301,7 +301,8 @@ def test_a_live_tracker_uses_images_as_a_replay_does(can, seen, tmp_path):
     path = tmp_path / "images.mcap"
     with RecordingWriter(path, rig) as writer:
         for each in observations[:40]:
-            writer.write(replace(each, stamp=1000.0 + each.stamp))
+            image_stamp = None if each.image_stamp is None else 1000.0 + each.image_stamp
+            writer.write(replace(each, stamp=1000.0 + each.stamp, image_stamp=image_stamp))
     with closing(McapSource(path)) as source:
         messages = list(source.messages(rig_topics(rig)))
     stream = ObservationStream(rig)

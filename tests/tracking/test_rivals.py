@@ -28,11 +28,11 @@ def test_of_two_poses_that_images_show_alike_the_answer_has_both_until_one_has_w
     """The source has both, and the wrong one first."""
     file = tmp_path / "wedge.stl"
     trimesh.Trimesh(*wedge(difference), process=False).export(file)
-    scenario = Scenario(object=str(file), seed=1, rate=50.0)
+    scenario = Scenario(object=str(file), seed=1, rate=25.0)
     samples = list(simulate(scenario))
     rig = rig_with_images(rig_of(scenario))
     model = model_of(scenario)
-    images = pictures(rig, model, samples, every=4)
+    images = pictures(rig, model, samples, every=3)
     T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ WRONG
     T_now = np.eye(4)
 

@@ -408,7 +408,7 @@ class IntrinsicsForm(Form):
 class CameraForm(Section):
     """The camera that sees the object; without it poses must come in the world's or the palm's frame."""
 
-    fixed_to: Annotated[Literal["world", "palm"], "what it stands on"] = "world"
+    fixed_to: Annotated[Literal["world", "palm"], "world or palm, which it stands on"] = "world"
     pose: Annotated[PoseForm | None, "of its optical frame (x right, y down, z forward)"] = None
     noise: Annotated[ImageNoiseForm | None, "of a detected pose, independent in each image"] = None
     constant_error: Annotated[VisionNoiseForm | None, "of its calibration"] = None
