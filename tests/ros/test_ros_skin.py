@@ -80,7 +80,7 @@ def test_the_node_of_ros_2_reads_taxels_of_any_type_whose_package_is_sourced(tmp
     )
     given = [(m.topic, m.type, m.log_time, m.data) for m in messages]
     given.insert(len(given) // 2, (wrong.topic, wrong.type, given[len(given) // 2][2], wrong.data))
-    named = "messages left out: expected 30 x 3 taxels"
+    named = "messages left out: skin mf: expected 30 x 3 taxels"
     with processes(tmp_path) as running:
         plays = robot(
             running,
