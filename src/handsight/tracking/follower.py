@@ -376,7 +376,9 @@ class Follower:
         if others:
             estimate = with_others(self.model, estimate, others)
         found, innovations = self._answer(replace(state, belief=belief), estimate, prior, searched_at)
-        found = replace(found, estimate=with_others(self.model, found.estimate, turned))
+        if turned:
+            known = found.estimate
+            found = replace(found, estimate=with_others(self.model, known, [*known.modes[1:], *turned]))
         return Found(found, innovations, table, remedy, wrong)
 
     def _answer(

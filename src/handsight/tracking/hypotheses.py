@@ -116,40 +116,45 @@ def among_rivals(
 ) -> tuple[PoseEstimate, PosePrior, list[np.void]]:
     """Returns the likeliest of an estimate and of those at the poses that images cannot tell from it, with its prior,
     and the modes of the others; touch and images weigh them. Raises Unfinished."""
+    if not len(rivals):
+        return estimate, prior, []
     found = [(0.0, estimate, prior)]
-    of_touch = log_evidence(model, estimate, prior) if len(rivals) else 0.0
+    of_touch = log_evidence(model, estimate, prior)
     for T_object_rival, log_odds in zip(rivals.T_object_rivals, rivals.log_odds, strict=True):
         there = _at_rival(prior, T_object_rival)
         other = solver.refine(there, estimate.T_palm_object_maximum @ T_object_rival)
         if other is not None:
             gain = log_evidence(model, other, there) - of_touch
             found.append((log_odds + gain, other, there))
-    found.sort(key=lambda one: -one[0])
-    log_best, estimate, prior = found[0]
-    others = [_weighed(other, log_weight - log_best, estimate) for log_weight, other, _ in found[1:]]
-    return estimate, prior, others
+    return _likeliest(found)
 
 
 def with_rivals(model: ObjectModel, estimate: PoseEstimate, rivals: Rivals) -> PoseEstimate:
     """Returns the likeliest of the estimate of a followed object without touch and of the poses that images cannot tell
     from it, with the others."""
-    known = PosePrior.trusted(estimate.T_palm_object, estimate.bounded_covariance)
-    found = [(0.0, estimate)]
+    if not len(rivals):
+        return estimate
+    prior = PosePrior.trusted(estimate.T_palm_object, estimate.bounded_covariance)
+    found = [(0.0, estimate, prior)]
     for T_object_rival, log_odds in zip(rivals.T_object_rivals, rivals.log_odds, strict=True):
-        there = _at_rival(known, T_object_rival)
+        there = _at_rival(prior, T_object_rival)
         other = PoseEstimate.from_gaussian(there.T_palm_object, there.covariance, estimate.unobservable)
-        found.append((log_odds, other))
-    found.sort(key=lambda one: -one[0])
-    log_best, best = found[0]
-    others = [_weighed(other, log_weight - log_best, best) for log_weight, other in found[1:]]
+        found.append((float(log_odds), other, there))
+    best, _, others = _likeliest(found)
     return with_others(model, best, others)
 
 
-def _weighed(estimate: PoseEstimate, log_odds: float, best: PoseEstimate) -> np.void:
-    """Returns the mode of an estimate (ANSWER) with its weight, given its log odds against the best estimate."""
-    row = estimate.answer.copy()
-    row["weight"] = best.answer["weight"] * math.exp(log_odds)
-    return row
+def _likeliest(
+    found: Sequence[tuple[float, PoseEstimate, PosePrior]],
+) -> tuple[PoseEstimate, PosePrior, list[np.void]]:
+    """Returns the likeliest of several (log weight, estimate, prior), and the best mode (ANSWER) of each of the others,
+    weighed against it."""
+    (log_best, best, prior), *rest = sorted(found, key=lambda one: -one[0])
+    others = list[np.void]()
+    for log_weight, other, _ in rest:
+        others.append(other.answer.copy())
+        others[-1]["weight"] = best.answer["weight"] * math.exp(log_weight - log_best)
+    return best, prior, others
 
 
 def _at_rival(prior: PosePrior, T_object_rival: Array) -> PosePrior:
