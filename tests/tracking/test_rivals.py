@@ -63,3 +63,15 @@ def test_of_two_poses_that_images_show_alike_the_answer_has_both_until_one_has_w
     else:
         assert states[-1] == "uncertain"
         assert len(estimate.hypotheses) == 2
+
+
+def test_poses_that_touch_alone_cannot_tell_apart_stay_hypotheses_where_no_image_has_rivals():
+    scenario = Scenario(object="can", seed=2, rate=25.0)
+    tracker = hs.Tracker(rig_of(scenario), model_of(scenario))
+    several = 0
+    for sample in simulate(scenario):
+        estimate = tracker.update(sample.observation)
+        likely = [mode for mode in estimate.modes[1:] if mode["weight"] > 0.05]
+        several += len(estimate.hypotheses) > 1
+        assert tracker.state != "tracking" or not likely
+    assert several > 5
